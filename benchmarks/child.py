@@ -51,13 +51,13 @@ def _peak() -> float:
 def _memory(count: int) -> dict[str, Any]:
     """Measure by how much a solve of `count` poses raises the peak, the poses themselves left out."""
     import spm_pin as spm
-    from benchmarks.poses import GEOMETRY, tiled
+    from benchmarks.poses import MACHINE, tiled
 
     spm.kinematics.compile_kernels()
     poses = tiled(count)
-    _ = spm.inverse_displacement(GEOMETRY, poses[:10]).leg_lengths
+    _ = spm.inverse_displacement(MACHINE, poses[:10]).leg_lengths
     before = _peak()
-    solutions = spm.inverse_displacement(GEOMETRY, poses)
+    solutions = spm.inverse_displacement(MACHINE, poses)
     kept = solutions.middle_joints.nbytes + solutions.leg_lengths.nbytes
     return {"peak": _peak() - before, "answer": kept}
 
@@ -65,15 +65,15 @@ def _memory(count: int) -> dict[str, Any]:
 def _batch(kind: str, count: int) -> dict[str, Any]:
     """Time the first large batch of a process: all branches, or the physical one."""
     import spm_pin as spm
-    from benchmarks.poses import GEOMETRY, tiled
+    from benchmarks.poses import MACHINE, tiled
 
     spm.kinematics.compile_kernels()
     poses = tiled(count)
     solve = spm.inverse_displacement if kind == "all" else spm.inverse_physical
-    solve(GEOMETRY, poses[:1])
+    solve(MACHINE, poses[:1])
     begin = time.perf_counter()
     with spm.threads(1):
-        solve(GEOMETRY, poses)
+        solve(MACHINE, poses)
     return {"seconds": time.perf_counter() - begin}
 
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 import spm_pin as spm
 
-GEOMETRY = spm.Manipulator.paper()
+MACHINE = spm.Manipulator.paper()
 
 KINDS = ("leg lengths", "all rotations", "nearly level", "near a fold")
 """Kinds of poses that `mixture` makes."""
@@ -18,7 +18,7 @@ KINDS = ("leg lengths", "all rotations", "nearly level", "near a fold")
 
 def as_built(size: float) -> spm.Manipulator:
     """Return a machine with random errors [m and rad] whose two balls at a corner coincide."""
-    machine = GEOMETRY.perturbed(0, length=size, angle=size)
+    machine = MACHINE.perturbed(0, length=size, angle=size)
     balls = np.tile(machine.legs.balls[:3], (2, 1))
     legs = replace(machine.legs, balls=balls)
     return replace(machine, legs=legs)
@@ -26,7 +26,7 @@ def as_built(size: float) -> spm.Manipulator:
 
 def leg_space(count: int, seed: int = 0) -> RigidTransform:
     """Return poses (count,) of leg lengths drawn uniformly from the limits."""
-    return in_leg_space(GEOMETRY, count, seed).pose
+    return in_leg_space(MACHINE, count, seed).pose
 
 
 def mixture(kind: str, count: int, seed: int = 0) -> RigidTransform:
@@ -43,10 +43,10 @@ def mixture(kind: str, count: int, seed: int = 0) -> RigidTransform:
     if kind == "all rotations":
         share = -(-count // 4)
         parts = [
-            random_branches(GEOMETRY, family, share, seed + k).pose for k, family in enumerate(spm.machine.FAMILIES)
+            random_branches(MACHINE, family, share, seed + k).pose for k, family in enumerate(spm.machine.FAMILIES)
         ]
         return RigidTransform.concatenate(parts)[rng.permutation(4 * share)[:count]]
-    r = GEOMETRY.middle_radius
+    r = MACHINE.middle_radius
     if kind == "nearly level":
         tilt = 10.0 ** -rng.uniform(2.0, 8.0, count)
         azimuth, aside = rng.uniform(-np.pi, np.pi, (2, count))
@@ -61,7 +61,7 @@ def mixture(kind: str, count: int, seed: int = 0) -> RigidTransform:
         while len(poses) < count:
             start = leg_space(1, int(rng.integers(2**31)))[0]
             beyond = r * 10.0 ** -rng.uniform(6.0, 9.0) * rng.choice([-1.0, 1.0])
-            poses.append(at_discriminant(start, int(rng.integers(4)), beyond, GEOMETRY))
+            poses.append(at_discriminant(start, int(rng.integers(4)), beyond, MACHINE))
         return RigidTransform.concatenate(poses)
     raise ValueError(f"kind: one of {', '.join(KINDS)}; received {kind!r}")
 

@@ -24,7 +24,7 @@ import spm_pin as spm
 from spm_pin.sweeps.domains import Domain, SweepPlan
 from spm_pin.sweeps.runner import CHUNK
 
-GEOMETRY = spm.Manipulator.paper()
+MACHINE = spm.Manipulator.paper()
 METRICS = ("reachable", "branches", "conditioning", "payload")
 MIB = 2**20
 
@@ -64,7 +64,7 @@ class Memory:
 
 def lattice(points: int) -> Domain:
     """Return a lattice of about `points` poses around one in the middle of the workspace, some 2 % of them reached."""
-    state = spm.forward_physical(GEOMETRY, [1.2, 1.3, 1.4, 1.25, 1.35, 1.3])
+    state = spm.forward_physical(MACHINE, [1.2, 1.3, 1.4, 1.25, 1.35, 1.3])
     x, y, z = state.translation
     angles = state.pose.rotation.as_euler("XYX")
     first = max(2, round(points / (25 * 16 * 10**3)))
@@ -81,7 +81,7 @@ def run(name: str, points: int, workers: int, chunk: int, store: Path) -> str:
     domain = lattice(points)
     begin = time.perf_counter()
     with Memory() as memory:
-        found = spm.sweeps.run_sweep(GEOMETRY, domain, METRICS, store, workers=workers, chunk=chunk)
+        found = spm.sweeps.run_sweep(MACHINE, domain, METRICS, store, workers=workers, chunk=chunk)
     seconds = time.perf_counter() - begin
     found.close()
     size = sum(file.stat().st_size for file in store.rglob("*") if file.is_file())
@@ -94,7 +94,7 @@ def per_core(points: int) -> tuple[float, float]:
     """Return points per second of processor time: of a lattice of poses, and of leg lengths within the limits."""
     rates = []
     for domain in (lattice(points), spm.sweeps.leg_sample(points // 4, (1.1, 1.5), (1.1, 1.5))):
-        plan = SweepPlan.make(GEOMETRY, domain, METRICS, CHUNK)
+        plan = SweepPlan.make(MACHINE, domain, METRICS, CHUNK)
         index = next(iter(plan))
         begin = time.process_time()
         with spm.threads(1):
@@ -128,7 +128,7 @@ def main() -> None:
     print("\n".join(lines), flush=True)
     with tempfile.TemporaryDirectory(dir=options.folder) as folder:
         # Kernels are compiled once per machine, which is not what is measured.
-        spm.sweeps.run_sweep(GEOMETRY, lattice(2000), METRICS, Path(folder, "first"), workers=1)
+        spm.sweeps.run_sweep(MACHINE, lattice(2000), METRICS, Path(folder, "first"), workers=1)
         poses, legs = per_core(options.points // 10)
         rows = (
             ("fewer points", options.points // 10, CHUNK, "tenth"),

@@ -7,7 +7,7 @@ from typing import Any
 
 import spm_pin as spm
 
-GEOMETRY = spm.Manipulator.paper()
+MACHINE = spm.Manipulator.paper()
 GRID = spm.sweeps.pose_grid((0.37, 0.44, 7), (-0.16, -0.12, 6), (2.45, 2.55, 5), xyx=[0.01, (0.3, 0.34, 3), 0.1])
 METRICS = ("reachable", "branches", "conditioning", "payload")
 CHUNK = 100
@@ -16,7 +16,7 @@ CHUNK = 100
 
 def small(path: Path, **changes: Any) -> Any:
     """Run the small sweep, in this process by default."""
-    arguments = {"machine": GEOMETRY, "domain": GRID, "metrics": METRICS, "chunk": CHUNK, "workers": 1} | changes
+    arguments = {"machine": MACHINE, "domain": GRID, "metrics": METRICS, "chunk": CHUNK, "workers": 1} | changes
     return spm.sweeps.run_sweep(store=path, **arguments)
 
 

@@ -22,7 +22,7 @@ from benchmarks.peers.lines import coordinates
 from benchmarks.peers.operations import count_operations
 from benchmarks.peers.package import kernel, lengths_only
 from benchmarks.peers.peer import Peer, Prepared, Unavailable, required
-from benchmarks.poses import GEOMETRY, KINDS, as_built, leg_space, mixture
+from benchmarks.poses import KINDS, MACHINE, as_built, leg_space, mixture
 from benchmarks.report import Facts
 from benchmarks.sections.completeness import tally
 from benchmarks.sections.preparation import prepare_peers
@@ -36,7 +36,7 @@ pytestmark = pytest.mark.documents
 ROOT = Path(__file__).parents[1]
 # Poses whose branches are well apart: searches find all of them, and the octic keeps half its digits.
 POSES = leg_space(4)
-SIDE = GEOMETRY.middle_side
+SIDE = MACHINE.middle_side
 
 needs_compiler = pytest.mark.skipif(compiler_version() == "none", reason="no C compiler")
 
@@ -79,7 +79,7 @@ def certified() -> list[npt.NDArray[np.float64]]:
 
 @needs_compiler
 def test_every_call_of_the_exported_functions_is_timed_and_finds_an_answer() -> None:
-    seconds, failed = exported.call_times(spm.inverse_physical(GEOMETRY, POSES), 1e-4, 100)
+    seconds, failed = exported.call_times(spm.inverse_physical(MACHINE, POSES), 1e-4, 100)
     assert failed == [0] * len(exported.CALLS)
     assert seconds.shape == (len(exported.CALLS), 100)
     assert (seconds >= 0.0).all()
@@ -89,18 +89,18 @@ def test_every_call_of_the_exported_functions_is_timed_and_finds_an_answer() -> 
 @pytest.mark.parametrize("peer", [needs(peer) for peer in peers_by_task.INVERSE])
 def test_every_peer_finds_the_certified_branches_which_close(peer: Peer) -> None:
     poses, copies = rounded(POSES if peer.items > 1 else POSES[:1], peer.name)
-    found = list(answer(peer.prepare((GEOMETRY, poses))))
+    found = list(answer(peer.prepare((MACHINE, poses))))
     # What the double roots of the octic leave of its digits.
     tolerance = 1e-3 if "roots" in peer.name or "companion" in peer.name else 1e-8
     truth = certified()
     assert len(truth) == len(POSES)
-    for k, along in enumerate(median_coordinates(GEOMETRY, poses, found, copies)):
+    for k, along in enumerate(median_coordinates(MACHINE, poses, found, copies)):
         np.testing.assert_allclose(along, truth[k], atol=tolerance * SIDE, rtol=0.0)
     residuals = []
     for joints in found[:copies]:
         whole = joints[~np.isnan(joints).any(axis=(-1, -2))]
         assert len(whole) or "roots" in peer.name or peer.name in ("companion matrices", "python-flint")
-        residuals.append(spm.Configuration(GEOMETRY, POSES[0], whole).closure_residual.max(initial=0.0))
+        residuals.append(spm.Configuration(MACHINE, POSES[0], whole).closure_residual.max(initial=0.0))
     assert np.median(residuals) < 1e-7 * SIDE
 
 
@@ -126,24 +126,24 @@ def test_the_c_loop_agrees_with_the_package(kind: str) -> None:
     from benchmarks.peers.c_loop import answered
 
     poses = mixture(kind, 200, seed=3)
-    arrays = answered((GEOMETRY, poses)).call()
-    ours = spm.inverse_displacement(GEOMETRY, poses)
+    arrays = answered((MACHINE, poses)).call()
+    ours = spm.inverse_displacement(MACHINE, poses)
     np.testing.assert_array_equal(arrays.status, ours.status)
     np.testing.assert_array_equal(np.isnan(arrays.joints), np.isnan(ours.middle_joints))
     # Near a fold and near the level, rounding of the pose is magnified by its inverse, or its root.
     tolerance = 1e-9 if kind in KINDS[:2] else 1e-5
     np.testing.assert_allclose(arrays.joints, ours.middle_joints, atol=tolerance * SIDE, rtol=0.0)
     real = ours.exists
-    derived = spm.Configuration(GEOMETRY, poses[np.nonzero(real)[0]], arrays.joints[real])
+    derived = spm.Configuration(MACHINE, poses[np.nonzero(real)[0]], arrays.joints[real])
     np.testing.assert_allclose(arrays.lengths[real], derived.leg_lengths, rtol=1e-13)
     assert (derived.closure_residual <= 1e-12).all()
 
 
 def test_kernel_alone_equals_the_public_function() -> None:
-    ours = spm.inverse_displacement(GEOMETRY, POSES)
-    for k, found in enumerate(answer(kernel((GEOMETRY, POSES)))):
+    ours = spm.inverse_displacement(MACHINE, POSES)
+    for k, found in enumerate(answer(kernel((MACHINE, POSES)))):
         np.testing.assert_array_equal(found, ours.middle_joints[k][ours.exists[k]])
-    np.testing.assert_array_equal(answer(lengths_only((GEOMETRY, POSES))), ours.leg_lengths)
+    np.testing.assert_array_equal(answer(lengths_only((MACHINE, POSES))), ours.leg_lengths)
 
 
 @pytest.mark.parametrize("arm", arms.ARMS)
@@ -180,7 +180,7 @@ def test_plain_pinocchio_has_the_dynamics_of_the_chain() -> None:
 
     chain = spm.ClosedChain.from_urdf()
     plain = PlainPinocchio(chain)
-    for q in chain.joint_values(spm.inverse_physical(GEOMETRY, POSES)):
+    for q in chain.joint_values(spm.inverse_physical(MACHINE, POSES)):
         v = chain.state(q).joint_velocities([0.1, -0.2, 0.1, 0.2, 0.1, -0.1])
         a = chain.state(q, v).joint_accelerations([1.0, 0.5, -0.5, 0.2, 0.3, 0.1])
         forces = chain.state(q, v).inverse_dynamics(a)
@@ -207,10 +207,10 @@ def test_ticks_end_in_the_same_numbers() -> None:
     from benchmarks.sections.jobs import walk
 
     readings, wrench = walk(5), np.array([30.0, -20.0, -500.0, 4.0, -6.0, 8.0])
-    chain, start = spm.ClosedChain.from_urdf(), spm.forward_physical(GEOMETRY, readings[:1])
+    chain, start = spm.ClosedChain.from_urdf(), spm.forward_physical(MACHINE, readings[:1])
     calls = [ticks_by_package(readings, wrench), ticks_by_chain(chain, readings, wrench)]
     calls += [exported.ticks(start, readings, wrench)] if compiler_version() != "none" else []
-    last = spm.forward_physical(GEOMETRY, readings[-1])
+    last = spm.forward_physical(MACHINE, readings[-1])
     for call in calls:
         jacobian, forces = call()
         np.testing.assert_allclose(jacobian, spm.inverse_jacobian(last), rtol=0, atol=1e-9)
@@ -223,7 +223,7 @@ def test_metrics_by_numpy_are_those_of_sweeps() -> None:
 
     drawn = np.random.default_rng(0).uniform(*np.transpose(box()), (500, 6))
     poses = spm.pose(drawn[:, :3], xyx=drawn[:, 3:])
-    points = spm.sweeps.Points(GEOMETRY, "pose", drawn)
+    points = spm.sweeps.Points(MACHINE, "pose", drawn)
     found = metrics_by_numpy(poses)
     assert found[0].any()
     for name, values in zip(METRICS, found, strict=True):
@@ -244,12 +244,12 @@ LENGTHS = np.random.default_rng(1).uniform(1.1, 1.5, (3, 6))
 
 @pytest.mark.parametrize("peer", peers_by_task.PHYSICAL, ids=lambda peer: peer.name)
 def test_every_forward_solution_has_the_leg_lengths_and_is_the_physical_one(peer: Peer) -> None:
-    joints = answer(peer.prepare((GEOMETRY, LENGTHS)))
-    lower = np.linalg.norm(joints - GEOMETRY.base_joints, axis=-1)
+    joints = answer(peer.prepare((MACHINE, LENGTHS)))
+    lower = np.linalg.norm(joints - MACHINE.base_joints, axis=-1)
     np.testing.assert_allclose(lower, LENGTHS[:, :3], rtol=1e-9)
     sides = np.linalg.norm(joints - np.roll(joints, 1, axis=-2), axis=-1)
     np.testing.assert_allclose(sides, SIDE, rtol=1e-9)
-    np.testing.assert_allclose(joints, spm.forward_physical(GEOMETRY, LENGTHS).middle_joints, atol=1e-8)
+    np.testing.assert_allclose(joints, spm.forward_physical(MACHINE, LENGTHS).middle_joints, atol=1e-8)
 
 
 @pytest.mark.parametrize("peer", peers_by_task.MODES, ids=lambda peer: peer.name)
@@ -258,11 +258,11 @@ def test_the_number_of_assembly_modes(peer: Peer) -> None:
 
     lengths = LENGTHS[: 1 if peer.items < 10 else 3]
     truth = [
-        (certified_modes(legs[:3], GEOMETRY.base_radius, SIDE) or 0)
-        * (certified_modes(legs[3:], GEOMETRY.platform_radius, SIDE) or 0)
+        (certified_modes(legs[:3], MACHINE.base_radius, SIDE) or 0)
+        * (certified_modes(legs[3:], MACHINE.platform_radius, SIDE) or 0)
         for legs in lengths
     ]
-    found = answer(peer.prepare((GEOMETRY, lengths)))
+    found = answer(peer.prepare((MACHINE, lengths)))
     if peer.name == "SciPy multi-start":  # it may miss some, and never finds more
         assert all(0 < number <= most for number, most in zip(found, truth, strict=True))
     else:
@@ -271,10 +271,10 @@ def test_the_number_of_assembly_modes(peer: Peer) -> None:
 
 @pytest.mark.skipif(compiler_version("c++") == "none", reason="no C++ compiler")
 def test_operations_are_counted() -> None:
-    counted, same = (count_operations(GEOMETRY, POSES[k : k + 1]) for k in (0, 0))
+    counted, same = (count_operations(MACHINE, POSES[k : k + 1]) for k in (0, 0))
     assert counted == same
     # A branch takes seven, for six lengths and a norm; a family and a pose a few more.
-    branches = int(spm.inverse_displacement(GEOMETRY, POSES[0]).count)
+    branches = int(spm.inverse_displacement(MACHINE, POSES[0]).count)
     assert 7 * branches < counted.square_roots < 12 * branches + 20
     assert 0 < counted.divisions < counted.square_roots
     assert counted.additions < counted.multiplications < 200 * branches
@@ -337,7 +337,7 @@ def test_targets_say_what_was_missed_and_what_was_not_measured() -> None:
 def test_poses_are_of_their_kind(kind: str) -> None:
     poses = mixture(kind, 9, seed=5)
     assert poses.shape == (9,)
-    found = spm.inverse_displacement(GEOMETRY, poses)
+    found = spm.inverse_displacement(MACHINE, poses)
     tilt = np.arccos(np.clip(poses.as_matrix()[:, 2, 2], -1.0, 1.0))
     if kind == "nearly level":
         assert (tilt < 0.011).all()
@@ -367,7 +367,7 @@ def test_pycapacity_is_given_the_same_polytopes() -> None:
     pytest.importorskip("pycapacity")
     from benchmarks.sections import capability
 
-    states = spm.forward_physical(GEOMETRY, np.random.default_rng(0).uniform(1.15, 1.45, (3, 6)))
+    states = spm.forward_physical(MACHINE, np.random.default_rng(0).uniform(1.15, 1.45, (3, 6)))
     held = spm.capability.wrench_polytope(states, capability.LIMIT)
     jacobians, inverses = spm.inverse_jacobian(states), spm.kinematics.platform_jacobian(states)
     balls = [capability.facets_by_pycapacity(jacobian) for jacobian in jacobians]

@@ -23,7 +23,7 @@ from spm_pin.description.visuals import part_placements, visual_parts
 pytestmark = pytest.mark.slow  # a browser without a graphics card
 
 ROOT = Path(__file__).parents[1]
-GEOMETRY = spm.Manipulator.paper()
+MACHINE = spm.Manipulator.paper()
 BRANCHES = list(spm.machine.BRANCHES)
 
 
@@ -131,10 +131,10 @@ def set_sliders(page, values) -> None:
 
 
 def test_webassembly_finds_the_branches_of_the_package(page) -> None:
-    rotation, position = spread_poses(GEOMETRY, 600, 1)
+    rotation, position = spread_poses(MACHINE, 600, 1)
     script = "poses => poses.map((x) => document.getElementById('live').machine.inverse(x.slice(0, 9), x.slice(9)))"
     found = page.evaluate(script, np.hstack([rotation.reshape(-1, 9), position]).tolist())
-    expected = spm.inverse_displacement(GEOMETRY, spm.pose(position, rotation=rotation))
+    expected = spm.inverse_displacement(MACHINE, spm.pose(position, rotation=rotation))
     clear = (np.abs(expected.discriminants) > 1e-6).all(axis=-1)
     assert clear.mean() > 0.98
     assert np.array([answer["status"] for answer in found])[clear].tolist() == expected.status[clear].tolist()
@@ -171,7 +171,7 @@ def test_leg_lengths_have_a_state_where_branches_are_not_isolated(page, lengths:
     choose(page, "legs")
     set_sliders(page, lengths)
     assert solved_in_python(page).status == spm.Status.DEGENERATE
-    check_solids(page, spm.forward_physical(GEOMETRY, lengths))
+    check_solids(page, spm.forward_physical(MACHINE, lengths))
     np.testing.assert_allclose(lengths_shown(page), lengths, rtol=0.0, atol=1e-12)
     assert page.locator("#live table").is_visible()
     assert page.locator("#live caption").inner_text() == "Leg lengths of this state in m"
@@ -207,8 +207,8 @@ def test_sliders_of_the_legs_show_the_pose_they_hold(page) -> None:
 
 def test_of_two_physical_branches_the_one_of_the_legs_is_shown(page) -> None:
     lengths = np.random.default_rng(3).uniform(1.1, 1.5, (3000, 6)).round(3)
-    found = spm.forward_physical(GEOMETRY, lengths)
-    branches = spm.inverse_displacement(GEOMETRY, found[found.exists].pose)
+    found = spm.forward_physical(MACHINE, lengths)
+    branches = spm.inverse_displacement(MACHINE, found[found.exists].pose)
     lengths, taken = lengths[found.exists], branches.physical().leg_lengths
     twice = np.flatnonzero((branches.is_physical.sum(axis=-1) == 2) & (np.abs(taken - lengths).max(axis=-1) > 0.1))
     choose(page, "legs")
@@ -224,7 +224,7 @@ def test_colours_of_a_slider_tell_where_a_real_machine_can_be(page) -> None:
     turned = Rotation.from_euler(
         "xyz", np.column_stack([np.full_like(yaw, -20.0), np.full_like(yaw, 5.0), yaw]), degrees=True
     )
-    held = spm.inverse_physical(GEOMETRY, spm.pose([0.11, 0.45, 2.45], rotation=turned))
+    held = spm.inverse_physical(MACHINE, spm.pose([0.11, 0.45, 2.45], rotation=turned))
     within = (held.leg_lengths >= 1.1) & (held.leg_lengths <= 1.5)
     assert colours == (held.exists + (held.exists & within.all(axis=-1)).astype(int)).tolist()
     assert set(colours) == {0, 1, 2}
@@ -233,7 +233,7 @@ def test_colours_of_a_slider_tell_where_a_real_machine_can_be(page) -> None:
 def check_solids(page, state) -> None:
     """Compare the places of the solids with those of the description."""
     found = page.evaluate("document.getElementById('live').machine.placements()")
-    for matrix, part, placement in zip(found, visual_parts(GEOMETRY), part_placements(state), strict=False):
+    for matrix, part, placement in zip(found, visual_parts(MACHINE), part_placements(state), strict=False):
         points = live_page.mesh(part.mesh)[0]
         rows = np.array(matrix).reshape(4, 4)[:, :3]
         shown = points / np.abs(points).max() @ rows[:3] + rows[3]
@@ -312,7 +312,7 @@ def test_a_drag_changes_the_legs_least_and_comes_back_to_where_it_began(browser,
             bounds=[(1.1, 1.5)] * 6,
             constraints={
                 "type": "eq",
-                "fun": lambda x: view @ (spm.forward_physical(GEOMETRY, x).translation - found.translation),
+                "fun": lambda x: view @ (spm.forward_physical(MACHINE, x).translation - found.translation),
             },
             method="SLSQP",
             options={"ftol": 1e-12},
@@ -364,12 +364,12 @@ def test_all_of_it_is_below_200_kilobytes_and_names_no_other_place(file: Path) -
 def test_the_lines_of_the_how_to_make_a_module_that_solves(page, module: bytes, tmp_path: Path) -> None:
     text = (ROOT / "docs/howto/controller.md").read_text(encoding="utf-8")
     shell, script = (re.search(rf"```{kind}\n([^`]*(?:wasm|WebAssembly)[^`]*)```", text) for kind in ("sh", "js"))
-    spm.export.write_c(GEOMETRY, tmp_path / "spm_c")
+    spm.export.write_c(MACHINE, tmp_path / "spm_c")
     subprocess.run(["sh", "-ec", shell[1]], cwd=tmp_path, check=True)
     assert (tmp_path / "wasm/math.h").read_bytes() == (ROOT / "docs/site/live/math.h").read_bytes()
     made = (tmp_path / "spm.wasm").read_bytes()
     assert len(made) < len(module)
-    held = spm.inverse_physical(GEOMETRY, spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88])))
+    held = spm.inverse_physical(MACHINE, spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88])))
     arguments = [list(made), held.rotation.ravel().tolist(), held.translation.tolist()]
     prologue = "async ([given, rotation, position]) => { const bytes = new Uint8Array(given);"
     status, lengths = page.evaluate(f"{prologue} {script[1]} return [status, lengths]; }}", arguments)

@@ -14,7 +14,7 @@ from spm_pin.display import draw, path_figure
 
 pytestmark = pytest.mark.documents
 
-GEOMETRY = spm.Manipulator.paper()
+MACHINE = spm.Manipulator.paper()
 POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
 LEGS = [1.2, 1.2, 1.4, 1.25, 1.2, 1.5]
 PNG = b"\x89PNG"
@@ -30,7 +30,7 @@ def rows(result) -> list[list[str]]:
 
 
 def test_branches_show_their_legs() -> None:
-    branches = spm.inverse_displacement(GEOMETRY, POSE)
+    branches = spm.inverse_displacement(MACHINE, POSE)
     header, *lines = rows(branches)
     assert header == ["branch", "r_b1 [m]", "r_b2 [m]", "r_b3 [m]", "r_c1 [m]", "r_c2 [m]", "r_c3 [m]"]
     assert [line[0] for line in lines] == ["TT+, physical", "TT-", "TF+", "TF-", "FF+", "FF-"]
@@ -38,19 +38,19 @@ def test_branches_show_their_legs() -> None:
 
 
 def test_assembly_modes_show_their_poses() -> None:
-    modes = spm.forward_displacement(GEOMETRY, LEGS)
+    modes = spm.forward_displacement(MACHINE, LEGS)
     header, *lines, more = rows(modes)
     assert header == ["mode", "x [m]", "y [m]", "z [m]", "roll [°]", "pitch [°]", "yaw [°]"]
     places = np.flatnonzero(modes.exists)[: len(lines)]
     assert np.array(lines)[:, 1:4].astype(float) == pytest.approx(modes.translation[places], abs=5e-5)
     # An angle about z alone is the yaw.
-    turned = spm.Configuration(GEOMETRY, spm.pose([0, 0, 2], xyx=[0, 0, 0]), modes[0].middle_joints)
+    turned = spm.Configuration(MACHINE, spm.pose([0, 0, 2], xyx=[0, 0, 0]), modes[0].middle_joints)
     assert rows(turned)[1][:2] == ["0.0000, 0.0000, 2.0000", "0.00, 0.00, 0.00"]
     assert more == [f"and {modes.count - len(lines)} more"]
 
 
 def test_a_batch_shows_its_first_states() -> None:
-    states = spm.forward_physical(GEOMETRY, [[LEGS, [9.0, 1.0, 1.0, 1.0, 1.0, 1.0]]] * 10)
+    states = spm.forward_physical(MACHINE, [[LEGS, [9.0, 1.0, 1.0, 1.0, 1.0, 1.0]]] * 10)
     header, *lines, more = rows(states)
     assert header[:2] == ["index", "o in {B} [m]"]
     assert len(lines) == 16
@@ -61,7 +61,7 @@ def test_a_batch_shows_its_first_states() -> None:
 
 
 def test_drawings_show_themselves() -> None:
-    path = spm.follow(GEOMETRY, [LEGS, [1.45, 1.15, 1.30, 1.20, 1.52, 1.35]], samples=20)
+    path = spm.follow(MACHINE, [LEGS, [1.45, 1.15, 1.30, 1.20, 1.52, 1.35]], samples=20)
     assert len(path_figure(path).axes) == 2
     ax = draw(path.configurations[0], dpi=40.0)
     for picture in (path_figure(path), ax, ax.figure):

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 import spm_pin as spm
-from benchmarks.poses import GEOMETRY
+from benchmarks.poses import MACHINE
 from benchmarks.report import Facts, Section, count, seconds, spread_of_seconds, table, times
 from benchmarks.sections.preparation import Progress
 from benchmarks.timing import Pace, TimedCall, duration, time_in_turns
@@ -63,11 +63,11 @@ def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
 
 
 def _position(readings: Any) -> Any:
-    return spm.arrays.forward_physical(GEOMETRY, readings).translation
+    return spm.arrays.forward_physical(MACHINE, readings).translation
 
 
 def _by_kernels(readings: np.ndarray, *, gradient: bool) -> np.ndarray:
-    states = spm.forward_physical(GEOMETRY, readings)
+    states = spm.forward_physical(MACHINE, readings)
     if not gradient:
         return states.translation
     # The first three rows of J_f⁻¹ are the platform's velocity for unit rates.
@@ -83,10 +83,10 @@ def _callback(jax: Any) -> Any:
 
     @jax.custom_jvp
     def position(readings: Any) -> Any:
-        return called(lambda x: spm.forward_physical(GEOMETRY, np.asarray(x)).translation, readings, 3)
+        return called(lambda x: spm.forward_physical(MACHINE, np.asarray(x)).translation, readings, 3)
 
     def velocities(readings: Any) -> np.ndarray:
-        return np.linalg.inv(spm.inverse_jacobian(spm.forward_physical(GEOMETRY, np.asarray(readings))))[..., :3, :]
+        return np.linalg.inv(spm.inverse_jacobian(spm.forward_physical(MACHINE, np.asarray(readings))))[..., :3, :]
 
     @position.defjvp
     def rates(primals: Any, tangents: Any) -> Any:

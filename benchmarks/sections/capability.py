@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 import spm_pin as spm
-from benchmarks.poses import GEOMETRY
+from benchmarks.poses import MACHINE
 from benchmarks.report import Facts, Section, count, spread_of_seconds, table, times
 from benchmarks.sections.preparation import Progress
 from benchmarks.timing import Pace, Spread, TimedCall, time_in_turns
@@ -24,7 +24,7 @@ def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
         "Wrenches that legs of 1 kN hold, of states whose J_f pycapacity is given. It answers one state at a time; "
         "facets are those of its `hyper_plane_shift_method`, vertices those of `force_polytope`."
     )
-    states = spm.forward_physical(GEOMETRY, np.random.default_rng(0).uniform(1.15, 1.45, (_MANY, 6)))
+    states = spm.forward_physical(MACHINE, np.random.default_rng(0).uniform(1.15, 1.45, (_MANY, 6)))
     jacobians, inverses = (f(states[:_FEW]) for f in (spm.inverse_jacobian, spm.kinematics.platform_jacobian))
 
     def facets() -> None:

@@ -12,7 +12,7 @@ from benchmarks.peers.certified import real_coordinates
 from benchmarks.peers.lines import coordinates
 from benchmarks.peers.peer import FloatArray, Peer, Unavailable
 from benchmarks.peers.peers_by_task import INVERSE, OURS
-from benchmarks.poses import GEOMETRY, KINDS, mixture
+from benchmarks.poses import KINDS, MACHINE, mixture
 from benchmarks.report import Facts, Section, table, three_digits
 from benchmarks.sections.preparation import Progress, failure
 from benchmarks.timing import Pace, Spread
@@ -62,7 +62,7 @@ def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
         made = mixture(kind, most)
         try:
             proved = [
-                real_coordinates(q, o, GEOMETRY.middle_side)
+                real_coordinates(q, o, MACHINE.middle_side)
                 for q, o in zip(made.rotation.as_quat(), made.translation, strict=True)
             ]
         except Unavailable as reason:
@@ -108,9 +108,9 @@ def _allowance(peer: Peer, most: int) -> int:
 
 
 def _tally_of(peer: Peer, poses: RigidTransform, certified: list[FloatArray]) -> Tally:
-    prepared = peer.prepare((GEOMETRY, poses))
-    answers = coordinates(GEOMETRY, poses, prepared.read(prepared.call()))
-    return tally(certified, answers, GEOMETRY.middle_side)
+    prepared = peer.prepare((MACHINE, poses))
+    answers = coordinates(MACHINE, poses, prepared.read(prepared.call()))
+    return tally(certified, answers, MACHINE.middle_side)
 
 
 def _plus(facts: Facts, key: str, more: int) -> Spread:

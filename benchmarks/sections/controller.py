@@ -11,7 +11,7 @@ from benchmarks.peers import completion
 from benchmarks.peers.exported import CALLS, call_times, completions, ticks
 from benchmarks.peers.one_state import PlainPinocchio
 from benchmarks.peers.peer import FloatArray, Unavailable
-from benchmarks.poses import GEOMETRY, leg_space
+from benchmarks.poses import MACHINE, leg_space
 from benchmarks.report import Facts, Section, count, seconds, spread_of_seconds, table, times
 from benchmarks.sections.jobs import walk
 from benchmarks.sections.preparation import Progress
@@ -25,12 +25,12 @@ _WRENCH = np.array([30.0, -20.0, -500.0, 4.0, -6.0, 8.0])
 
 def ticks_by_package(readings: FloatArray, wrench: FloatArray) -> Callable[[], tuple[FloatArray, ...]]:
     """Return a call of the ticks that `peers.exported.ticks` makes, by the package's kernels from Python."""
-    start = spm.forward_physical(GEOMETRY, readings[0])
+    start = spm.forward_physical(MACHINE, readings[0])
 
     def call() -> tuple[FloatArray, ...]:
         state, jacobian, forces = start, np.empty((6, 6)), np.empty(6)
         for now in readings:
-            state = spm.forward_physical(GEOMETRY, now, near=state)
+            state = spm.forward_physical(MACHINE, now, near=state)
             jacobian, forces = spm.inverse_jacobian(state), spm.leg_forces(state, wrench)
         return jacobian, forces
 
@@ -74,7 +74,7 @@ def _ticks(section: Section, pace: Pace, progress: Progress) -> None:
         TimedCall("Pinocchio's calls for the closures' Jacobian alone", lambda: plain.closures(q), 1),
     ]
     try:
-        start = spm.forward_physical(GEOMETRY, many[:1])
+        start = spm.forward_physical(MACHINE, many[:1])
         calls.insert(0, TimedCall("the exported C, `cc -std=c99 -O2`", ticks(start, many, _WRENCH), len(many)))
     except Unavailable as reason:
         section.add(f"*The exported C: {reason}*")
@@ -96,7 +96,7 @@ def _completions(section: Section, pace: Pace, progress: Progress) -> None:
     """Time all eighteen joints of six slides, by the closed form and by an iteration on the closures."""
     readings, chain = walk(1_000), spm.ClosedChain.from_urdf()
     try:
-        complete = completions(spm.forward_physical(GEOMETRY, readings[:1]), readings)
+        complete = completions(spm.forward_physical(MACHINE, readings[:1]), readings)
     except Unavailable as reason:
         section.add(f"*Completion of joints by the exported C: {reason}*")
         return
@@ -106,7 +106,7 @@ def _completions(section: Section, pace: Pace, progress: Progress) -> None:
         TimedCall(f"Levenberg and Marquardt, tolerance {completion.TOLERANCE:g}", iterate, len(readings)),
     ]
     timings = time_in_turns(calls, pace, progress)
-    exact = chain.joint_values(spm.forward_physical(GEOMETRY, readings))
+    exact = chain.joint_values(spm.forward_physical(MACHINE, readings))
     first, (joints, evaluations) = timings[calls[0].name], iterate()
     of_tree = chain.joint_indices(*JOINTS)
     errors = [np.abs(found - exact[:, of_tree]).max() for found in (complete(), joints[:, of_tree])]
@@ -131,7 +131,7 @@ def _calls(section: Section, pace: Pace, progress: Progress) -> None:
     """Time every single call of each exported function."""
     calls = 100_000 if pace.quick else 1_000_000
     progress(f"{count(calls)} calls of each exported function")
-    states = spm.inverse_physical(GEOMETRY, leg_space(_STATES))
+    states = spm.inverse_physical(MACHINE, leg_space(_STATES))
     try:
         times, failed = call_times(states, _CHANGE, calls)
     except Unavailable as reason:

@@ -9,7 +9,7 @@ from benchmarks.peers.assembly_modes import certified, multistart
 from benchmarks.peers.package import modes
 from benchmarks.peers.peer import Peer, Unavailable
 from benchmarks.peers.peers_by_task import MODES, OURS, PHYSICAL
-from benchmarks.poses import GEOMETRY, leg_space
+from benchmarks.poses import MACHINE, leg_space
 from benchmarks.report import Facts, Section, table, three_digits
 from benchmarks.sections.preparation import Progress, compare, prepare_peers
 from benchmarks.timing import Pace
@@ -24,20 +24,20 @@ def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
         "Leg lengths drawn uniformly from the limits. The physical mode first; one inverse solve of the C loop is in "
         "the same rounds, as the unit."
     )
-    limits = GEOMETRY.limits
+    limits = MACHINE.limits
     assert limits is not None
     size = max(peer.items for peer in PHYSICAL)
     lengths = np.random.default_rng(1).uniform(limits.minimum, limits.maximum, (size, 6))
-    peers = prepare_peers(PHYSICAL, lambda n: (GEOMETRY, lengths[:n]), pace, progress)
+    peers = prepare_peers(PHYSICAL, lambda n: (MACHINE, lengths[:n]), pace, progress)
     poses = leg_space(size)
     unit = Peer(_UNIT, "four quadratics in plain C, one pose", c_loop.answered, size)
-    peers.add(prepare_peers([unit], lambda n: (GEOMETRY, poses[:n]), pace, progress))
+    peers.add(prepare_peers([unit], lambda n: (MACHINE, poses[:n]), pace, progress))
     timings = compare(section, peers, pace, progress, item="set")
     if _UNIT in timings:
         facts["forward/physical"] = timings[OURS].over(timings[_UNIT])
 
     section.add("All assembly modes:")
-    peers = prepare_peers(MODES, lambda n: (GEOMETRY, lengths[:n]), pace, progress)
+    peers = prepare_peers(MODES, lambda n: (MACHINE, lengths[:n]), pace, progress)
     timings = compare(section, peers, pace, progress, item="set")
     if "SciPy multi-start" in timings:
         facts["forward/modes"] = timings["SciPy multi-start"].over(timings[OURS])
@@ -48,7 +48,7 @@ def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
 def _found(lengths: np.ndarray, progress: Progress) -> str:
     """Return a table: of the certified assembly modes, the share that a multi-start finds."""
     progress("counting assembly modes")
-    problem = GEOMETRY, lengths
+    problem = MACHINE, lengths
     ours = modes(problem)
     search = multistart(problem)
     answers = search.call()

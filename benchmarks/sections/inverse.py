@@ -7,7 +7,7 @@ import numpy as np
 from benchmarks.peers import arms, package
 from benchmarks.peers.peer import Peer
 from benchmarks.peers.peers_by_task import AS_BUILT, INVERSE, OURS
-from benchmarks.poses import GEOMETRY, as_built, leg_space
+from benchmarks.poses import MACHINE, as_built, leg_space
 from benchmarks.report import Facts, Section, microseconds
 from benchmarks.sections.preparation import Progress, compare, prepare_peers
 from benchmarks.timing import Pace
@@ -28,9 +28,9 @@ def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
         "own: another problem, and the yardstick of analytic inverse kinematics."
     )
     poses = leg_space(max(peer.items for peer in INVERSE))
-    peers = prepare_peers(INVERSE, lambda n: (GEOMETRY, poses[:n]), pace, progress)
+    peers = prepare_peers(INVERSE, lambda n: (MACHINE, poses[:n]), pace, progress)
     lengths = Peer(f"{OURS}, lengths only", "`branch_lengths`: six lengths and status", package.lengths_only, 10_000)
-    peers.add(prepare_peers([lengths], lambda n: (GEOMETRY, poses[:n]), pace, progress))
+    peers.add(prepare_peers([lengths], lambda n: (MACHINE, poses[:n]), pace, progress))
     angles = np.random.default_rng(0).uniform(-np.pi, np.pi, (1000, 6))
     for arm in arms.ARMS:
         serial = Peer(f"EAIK, {arm}", "all branches of a serial arm, one thread", arms.solve, len(angles))

@@ -16,7 +16,7 @@ import spm_pin as spm
 from benchmarks.peers import c_loop
 from benchmarks.peers.one_state import PlainPinocchio
 from benchmarks.peers.peer import FloatArray, Unavailable
-from benchmarks.poses import GEOMETRY, tiled
+from benchmarks.poses import MACHINE, tiled
 from benchmarks.report import Facts, Section, count, seconds, spread_of_seconds, table, three_digits, times
 from benchmarks.sections.preparation import Progress, failure
 from benchmarks.timing import Pace, Spread, TimedCall, duration, time_in_turns
@@ -86,10 +86,10 @@ def _log(section: Section, chain: Any, n: int, pace: Pace, progress: Progress, f
 
 def _commands(section: Section, chain: Any, n: int, pace: Pace, progress: Progress) -> None:
     few, poses = 200, tiled(n)
-    path = spm.forward_physical(GEOMETRY, walk(few)).pose
-    near = chain.joint_values(spm.forward_physical(GEOMETRY, walk(1)[0]))
+    path = spm.forward_physical(MACHINE, walk(few)).pose
+    near = chain.joint_values(spm.forward_physical(MACHINE, walk(1)[0]))
     calls = [
-        TimedCall("spm_pin, `inverse_physical`", lambda: spm.inverse_physical(GEOMETRY, poses).leg_lengths, n),
+        TimedCall("spm_pin, `inverse_physical`", lambda: spm.inverse_physical(MACHINE, poses).leg_lengths, n),
         TimedCall(
             "Newton in Pinocchio, from the state before",
             lambda: chain.leg_lengths(chain.inverse_kinematics(path, near)),
@@ -99,7 +99,7 @@ def _commands(section: Section, chain: Any, n: int, pace: Pace, progress: Progre
     try:
         part = poses[:100_000]
         calls.append(
-            TimedCall("C loop, all branches, no choice", c_loop.fresh((GEOMETRY, part)).call, len(part.as_matrix()))
+            TimedCall("C loop, all branches, no choice", c_loop.fresh((MACHINE, part)).call, len(part.as_matrix()))
         )
     except Unavailable as reason:
         section.add(f"*C loop: {reason}*")
@@ -108,22 +108,22 @@ def _commands(section: Section, chain: Any, n: int, pace: Pace, progress: Progre
 
 def box() -> list[tuple[float, float]]:
     """Return ranges of x, y, z [m] and three X-Y-X angles [rad] around the middle of the workspace."""
-    state = spm.forward_physical(GEOMETRY, [1.2, 1.3, 1.4, 1.25, 1.35, 1.3])
+    state = spm.forward_physical(MACHINE, [1.2, 1.3, 1.4, 1.25, 1.35, 1.3])
     middle = [*state.translation, *state.pose.rotation.as_euler("XYX")]
     return [(float(value) - 0.1, float(value) + 0.1) for value in middle]
 
 
 def metrics_by_numpy(poses: RigidTransform) -> tuple[npt.NDArray[Any], ...]:
     """Return the four metrics of poses (n,) from all branches, J_f and NumPy's inverses and decompositions."""
-    found = spm.inverse_displacement(GEOMETRY, poses)
+    found = spm.inverse_displacement(MACHINE, poses)
     state = found.physical()
-    limits = GEOMETRY.limits
+    limits = MACHINE.limits
     assert limits is not None
     with np.errstate(invalid="ignore"):
         reachable = (state.leg_lengths >= limits.minimum).all(-1) & (state.leg_lengths <= limits.maximum).all(-1)
     conditioning, payload = np.full((2, len(reachable)), np.nan)
     linear_and_angular = np.linalg.inv(spm.inverse_jacobian(state[reachable]))
-    scaled = linear_and_angular * np.repeat([1.0, GEOMETRY.platform_radius], 3)[:, None]
+    scaled = linear_and_angular * np.repeat([1.0, MACHINE.platform_radius], 3)[:, None]
     values = np.linalg.svd(scaled, compute_uv=False)
     conditioning[reachable] = values[:, -1] / values[:, 0]
     payload[reachable] = 1.0 / np.linalg.norm(linear_and_angular[:, :3], axis=-2).max(axis=-1)
@@ -138,7 +138,7 @@ def _sweep(section: Section, n: int, pace: Pace, progress: Progress, facts: Fact
 
     def ours() -> None:
         with tempfile.TemporaryDirectory() as folder:
-            spm.sweeps.run_sweep(GEOMETRY, domain, METRICS, f"{folder}/store", workers=1).close()
+            spm.sweeps.run_sweep(MACHINE, domain, METRICS, f"{folder}/store", workers=1).close()
 
     calls = [
         TimedCall("spm_pin, `spm.sweeps.run_sweep`, with the start of a worker and the store", ours, n),
@@ -146,7 +146,7 @@ def _sweep(section: Section, n: int, pace: Pace, progress: Progress, facts: Fact
     ]
     text = f"A sweep of {count(n)} random poses: {', '.join(METRICS)}"
     _add(section, calls, Pace(2, pace.turn, pace.quick), progress, text, "point")
-    plan = SweepPlan.make(GEOMETRY, domain, METRICS, CHUNK)
+    plan = SweepPlan.make(MACHINE, domain, METRICS, CHUNK)
     rates = []
     for index in list(plan)[:3]:
         begin = time.process_time()

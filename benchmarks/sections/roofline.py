@@ -13,7 +13,7 @@ from benchmarks.peers.compiled import address, library
 from benchmarks.peers.operations import Operations, count_operations
 from benchmarks.peers.peer import Unavailable
 from benchmarks.peers.peers_by_task import OURS
-from benchmarks.poses import GEOMETRY, leg_space, tiled
+from benchmarks.poses import MACHINE, leg_space, tiled
 from benchmarks.report import Facts, Section, count, seconds, size, spread_of_seconds, table, three_digits
 from benchmarks.sections.preparation import Progress
 from benchmarks.timing import Pace, Spread, TimedCall, Timing, time_in_turns
@@ -61,21 +61,21 @@ def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
     section = Section("Roofline")
     try:
         limits_of = _limits(pace)
-        operations = count_operations(GEOMETRY, leg_space(1000))
+        operations = count_operations(MACHINE, leg_space(1000))
     except Unavailable as reason:
         section.add(f"*Not measured: {reason}.*")
         return section
     small, large = _FEW, 100_000 if pace.quick else 1_000_000
     few, many = leg_space(_FEW), tiled(large)
-    found = spm.kinematics.BranchMemory(GEOMETRY, large)
+    found = spm.kinematics.BranchMemory(MACHINE, large)
     timed_calls = [
-        TimedCall(f"{OURS} {_CACHE}", package.inverse((GEOMETRY, few)).call, small),
-        TimedCall(f"{_KERNEL} {_CACHE}", package.kernel((GEOMETRY, few)).call, small),
-        TimedCall(f"C loop {_CACHE}", c_loop.answered((GEOMETRY, few)).call, small),
-        TimedCall(f"{OURS} {_AGAIN}", lambda: spm.inverse_displacement(GEOMETRY, many, out=found), large),
-        TimedCall(f"{_KERNEL} {_AGAIN}", package.kernel((GEOMETRY, many)).call, large),
-        TimedCall(f"{OURS} {_NEW}", package.inverse((GEOMETRY, many)).call, large),
-        TimedCall(f"C loop {_NEW}", c_loop.fresh((GEOMETRY, many)).call, large),
+        TimedCall(f"{OURS} {_CACHE}", package.inverse((MACHINE, few)).call, small),
+        TimedCall(f"{_KERNEL} {_CACHE}", package.kernel((MACHINE, few)).call, small),
+        TimedCall(f"C loop {_CACHE}", c_loop.answered((MACHINE, few)).call, small),
+        TimedCall(f"{OURS} {_AGAIN}", lambda: spm.inverse_displacement(MACHINE, many, out=found), large),
+        TimedCall(f"{_KERNEL} {_AGAIN}", package.kernel((MACHINE, many)).call, large),
+        TimedCall(f"{OURS} {_NEW}", package.inverse((MACHINE, many)).call, large),
+        TimedCall(f"C loop {_NEW}", c_loop.fresh((MACHINE, many)).call, large),
     ]
     timings = time_in_turns([*limits_of, *timed_calls], Pace(max(5, pace.rounds // 2), pace.turn / 2.0), progress)
     limits = Limits(*(1.0 / timings[call.name].spread.median for call in limits_of))

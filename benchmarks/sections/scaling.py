@@ -11,7 +11,7 @@ from benchmarks.machine import available_memory, cores
 from benchmarks.peers import c_loop, package
 from benchmarks.peers.peer import Unavailable
 from benchmarks.peers.peers_by_task import OURS
-from benchmarks.poses import GEOMETRY, tiled
+from benchmarks.poses import MACHINE, tiled
 from benchmarks.report import Facts, Section, count, seconds, size, spread_of_seconds, table, times
 from benchmarks.sections.preparation import Progress
 from benchmarks.timing import Pace, TimedCall, time_in_turns
@@ -57,9 +57,9 @@ def _batches(section: Section, pace: Pace, progress: Progress, per_pose: float) 
             rows.append([count(n), f"*left out: needs {size(n * per_pose)}*", "", "", "", "", ""])
             continue
         poses = tiled(n)
-        timed_calls = [TimedCall(OURS, package.inverse((GEOMETRY, poses)).call, n)]
+        timed_calls = [TimedCall(OURS, package.inverse((MACHINE, poses)).call, n)]
         with contextlib.suppress(Unavailable):
-            timed_calls.append(TimedCall("C loop", c_loop.fresh((GEOMETRY, poses)).call, n))
+            timed_calls.append(TimedCall("C loop", c_loop.fresh((MACHINE, poses)).call, n))
         timings = time_in_turns(timed_calls, fewer, progress)
         ours = timings[OURS]
         cells = [count(n), seconds(ours.spread.median * n), *spread_of_seconds(ours.spread)]
@@ -83,8 +83,8 @@ def _threads(section: Section, pace: Pace, progress: Progress, facts: Facts, per
         parallel_for(lambda part: memory[part].fill(1.0), n, 1)
 
     jobs = {
-        "`inverse_displacement`": package.inverse((GEOMETRY, poses)).call,
-        "`inverse_physical`, a fifth of the memory": package.inverse_physical((GEOMETRY, poses)).call,
+        "`inverse_displacement`": package.inverse((MACHINE, poses)).call,
+        "`inverse_physical`, a fifth of the memory": package.inverse_physical((MACHINE, poses)).call,
         "memory filled that was written before, a kilobyte a pose": fill,
     }
 

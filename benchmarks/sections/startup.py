@@ -6,7 +6,7 @@ import numpy as np
 
 import spm_pin as spm
 from benchmarks import child
-from benchmarks.poses import GEOMETRY, leg_space
+from benchmarks.poses import MACHINE, leg_space
 from benchmarks.report import Facts, Section, spread_of_seconds, table
 from benchmarks.sections.preparation import Progress
 from benchmarks.timing import Pace, Spread, TimedCall, time_in_turns
@@ -37,7 +37,7 @@ def _single(section: Section, pace: Pace, progress: Progress, facts: Facts) -> N
     """Time calls with one problem each."""
     pose = leg_space(1)[0]
     matrix = pose.as_matrix()
-    solutions = spm.inverse_displacement(GEOMETRY, pose)
+    solutions = spm.inverse_displacement(MACHINE, pose)
     state = solutions.configurations[int(np.flatnonzero(solutions.exists)[0])]
     arrays = state.rotation, state.translation, state.middle_joints
     lengths, wrench = state.leg_lengths, np.ones(6)
@@ -45,20 +45,20 @@ def _single(section: Section, pace: Pace, progress: Progress, facts: Facts) -> N
     stage_state = spm.stages.inverse_physical(stage, 0.6, tilt=0.1, azimuth=0.0)
 
     def new() -> spm.Configuration:
-        return spm.Configuration.from_arrays(GEOMETRY, *arrays)
+        return spm.Configuration.from_arrays(MACHINE, *arrays)
 
     calls = {
         "`inverse_displacement`, RigidTransform, with lengths": lambda: (
-            spm.inverse_displacement(GEOMETRY, pose).leg_lengths
+            spm.inverse_displacement(MACHINE, pose).leg_lengths
         ),
         "`inverse_displacement`, 4 × 4 array, with lengths": lambda: (
-            spm.inverse_displacement(GEOMETRY, matrix).leg_lengths
+            spm.inverse_displacement(MACHINE, matrix).leg_lengths
         ),
         "`inverse_jacobian`": lambda: spm.inverse_jacobian(new()),
         "`leg_forces`": lambda: spm.leg_forces(new(), wrench),
-        "`forward_physical`": lambda: spm.forward_physical(GEOMETRY, lengths),
-        "`forward_physical`, near a state": lambda: spm.forward_physical(GEOMETRY, moved, near=state),
-        "`forward_displacement`": lambda: spm.forward_displacement(GEOMETRY, lengths),
+        "`forward_physical`": lambda: spm.forward_physical(MACHINE, lengths),
+        "`forward_physical`, near a state": lambda: spm.forward_physical(MACHINE, moved, near=state),
+        "`forward_displacement`": lambda: spm.forward_displacement(MACHINE, lengths),
         "`stages.inverse`": lambda: spm.stages.inverse(stage, 0.6, tilt=0.1, azimuth=0.0),
         "`stages.forward_physical`": lambda: spm.stages.forward_physical(stage, stage_state.readings),
         "`stages.forward`": lambda: spm.stages.forward(stage, stage_state.readings),

@@ -9,7 +9,7 @@ import spm_pin as spm
 from benchmarks import child
 from benchmarks.peers.one_state import PlainPinocchio
 from benchmarks.peers.package import renewed
-from benchmarks.poses import GEOMETRY, leg_space, tiled
+from benchmarks.poses import MACHINE, leg_space, tiled
 from benchmarks.report import Facts, Section, count, microseconds, spread_of_seconds, table, times
 from benchmarks.sections.preparation import Progress
 from benchmarks.sections.velocity import states
@@ -42,13 +42,13 @@ def _batches(section: Section, pace: Pace, progress: Progress, facts: Facts) -> 
     poses, few = leg_space(_MANY), 1000
     every = states(_MANY)
     chain = spm.ClosedChain.from_urdf()
-    physical = spm.inverse_physical(GEOMETRY, poses)
+    physical = spm.inverse_physical(MACHINE, poses)
     some = every[:few]
     calls = [
-        TimedCall("`inverse_displacement`", lambda: spm.inverse_displacement(GEOMETRY, poses), _MANY),
-        TimedCall("`inverse_physical`", lambda: spm.inverse_physical(GEOMETRY, poses), _MANY),
+        TimedCall("`inverse_displacement`", lambda: spm.inverse_displacement(MACHINE, poses), _MANY),
+        TimedCall("`inverse_physical`", lambda: spm.inverse_physical(MACHINE, poses), _MANY),
         TimedCall(
-            "`SolutionSet.physical` of those", lambda: spm.inverse_displacement(GEOMETRY, poses).physical(), _MANY
+            "`SolutionSet.physical` of those", lambda: spm.inverse_displacement(MACHINE, poses).physical(), _MANY
         ),
         TimedCall("`singularities`", lambda: spm.singularities(renewed(every)), _MANY),
         TimedCall("the same matrices, `numpy.linalg.svd`", lambda: by_numpy(renewed(some)), few),
@@ -106,7 +106,7 @@ def _singles(section: Section, pace: Pace, progress: Progress, facts: Facts) -> 
     chain = spm.ClosedChain.from_urdf()
     plain = PlainPinocchio(chain)
     pose = leg_space(1)[0]
-    physical = spm.inverse_physical(GEOMETRY, pose)
+    physical = spm.inverse_physical(MACHINE, pose)
     q = chain.joint_values(physical)
     v = chain.state(q).joint_velocities([0.1, -0.2, 0.1, 0.2, 0.1, -0.1])
     a = chain.state(q, v).joint_accelerations([1.0, 0.5, -0.5, 0.2, 0.3, 0.1])
@@ -116,7 +116,7 @@ def _singles(section: Section, pace: Pace, progress: Progress, facts: Facts) -> 
     forces, state = np.full(6, 100.0), chain.state(q, v)
     accelerations = [a, chain.state(*motions[1]).joint_accelerations([1.0, 0.5, -0.5, 0.2, 0.3, 0.1])]
     calls = {
-        "`inverse_physical`": lambda: spm.inverse_physical(GEOMETRY, pose),
+        "`inverse_physical`": lambda: spm.inverse_physical(MACHINE, pose),
         "`ClosedChain.joint_values`": lambda: chain.joint_values(renewed(physical)),
         "forward dynamics, Pinocchio's calls alone": lambda: [plain.forward(*m, forces) for m in motions],
         "`state.forward_dynamics`": lambda: [state.update(*m).forward_dynamics(forces) for m in motions],
@@ -164,11 +164,11 @@ def _memory(section: Section, pace: Pace, progress: Progress, facts: Facts) -> N
         facts[key] = Spread.of(1e6 * np.array(measured))
     n = 100_000 if pace.quick else 1_000_000
     large, small = tiled(n), leg_space(_MANY)
-    found, less = BranchMemory(GEOMETRY, n), BranchMemory(GEOMETRY, _MANY)
+    found, less = BranchMemory(MACHINE, n), BranchMemory(MACHINE, _MANY)
     names = [f"`inverse_displacement(out=...)`, {count(n)} poses", f"the same, {count(_MANY)}"]
     calls = [
-        TimedCall(names[0], lambda: spm.inverse_displacement(GEOMETRY, large, out=found), n),
-        TimedCall(names[1], lambda: spm.inverse_displacement(GEOMETRY, small, out=less), _MANY),
+        TimedCall(names[0], lambda: spm.inverse_displacement(MACHINE, large, out=found), n),
+        TimedCall(names[1], lambda: spm.inverse_displacement(MACHINE, small, out=less), _MANY),
     ]
     timings = time_in_turns(calls, Pace(max(5, pace.rounds // 3), pace.turn), progress)
     facts["states/out"] = timings[names[0]].over(timings[names[1]])

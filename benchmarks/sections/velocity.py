@@ -6,7 +6,7 @@ import numpy as np
 
 import spm_pin as spm
 from benchmarks.peers.peers_by_task import FORCES, JACOBIAN, OURS
-from benchmarks.poses import GEOMETRY, leg_space
+from benchmarks.poses import MACHINE, leg_space
 from benchmarks.report import Facts, Section
 from benchmarks.sections.preparation import Progress, compare, prepare_peers
 from benchmarks.timing import Pace
@@ -15,10 +15,10 @@ from benchmarks.timing import Pace
 def states(count: int, seed: int = 0) -> spm.Configuration:
     """Return real branches (count,) of poses in leg space."""
     # A pose has four branches at least.
-    solutions = spm.inverse_displacement(GEOMETRY, leg_space(-(-count // 4) + 1, seed))
+    solutions = spm.inverse_displacement(MACHINE, leg_space(-(-count // 4) + 1, seed))
     real = solutions.exists
     return spm.Configuration.from_arrays(
-        GEOMETRY,
+        MACHINE,
         np.ascontiguousarray(np.broadcast_to(solutions.rotation, (*real.shape, 3, 3))[real][:count]),
         np.ascontiguousarray(np.broadcast_to(solutions.translation, (*real.shape, 3))[real][:count]),
         np.ascontiguousarray(solutions.middle_joints[real][:count]),

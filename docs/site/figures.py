@@ -17,7 +17,7 @@ from spm_pin.display import draw, draw_capability, front_figure
 from spm_pin.machine import PRS, RPS, RRS, Stage
 
 IMAGES = Path(__file__).parents[1] / "images"
-GEOMETRY = spm.Manipulator.paper()
+MACHINE = spm.Manipulator.paper()
 LOWER, UPPER, GREY = "#0072b2", "#d98c00", "#5f6770"
 EXAMPLE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
 
@@ -46,7 +46,7 @@ def reduce_colours(source: Path, target: Path) -> None:
 
 def anatomy() -> Figure:
     """Draw the mechanism with its parts named, and its lower stage from above."""
-    state = spm.forward_physical(GEOMETRY, [1.25, 1.15, 1.40, 1.30, 1.20, 1.40])
+    state = spm.forward_physical(MACHINE, [1.25, 1.15, 1.40, 1.30, 1.20, 1.40])
     figure = Figure(figsize=(8.5, 5.2))
     draw(state, ax=figure.add_axes((0.09, 0.01, 0.42, 0.98)))
     parts = {"base": (0.05, "k"), "lower stage, 3RPS": (0.30, LOWER), "middle platform": (0.51, "k")}
@@ -78,17 +78,17 @@ def kinds_of_legs() -> Figure:
 
 def _from_above(ax: Axes, state: spm.Configuration) -> None:
     """Draw the base, the three leg planes through Z, and the middle platform, as seen down the Z axis."""
-    for direction in GEOMETRY.radial_directions:
+    for direction in MACHINE.radial_directions:
         ax.plot(*np.outer(direction[:2], [-0.35, 0.85]), color=LOWER, lw=0.9, ls=(0, (6, 3)))
     for points, colour, name in (
-        (GEOMETRY.base_joints, GREY, "a"),
+        (MACHINE.base_joints, GREY, "a"),
         (state.middle_joints, "#a9b1b8", "b"),
     ):
         ax.fill(*points[:, :2].T, facecolor=colour, alpha=0.35, edgecolor=colour)
         ax.plot(*points[:, :2].T, "o", color="black", ms=4)
         for k, (x, y, _) in enumerate(points, 1):
             ax.annotate(f"${name}_{k}$", (x, y), textcoords="offset points", xytext=(-4, 7), fontsize=10)
-    for a, b in zip(GEOMETRY.base_joints, state.middle_joints, strict=True):
+    for a, b in zip(MACHINE.base_joints, state.middle_joints, strict=True):
         ax.plot([a[0], b[0]], [a[1], b[1]], color=LOWER, lw=2.5, solid_capstyle="round")
     ax.plot(0, 0, "+", color="black", ms=9)
     ax.annotate("Z", (0, 0), textcoords="offset points", xytext=(-12, -4), fontsize=10)
@@ -108,7 +108,7 @@ def number_of_branches(samples: int = 700) -> Figure:
     axes = figure.subplots(1, 3, sharey=True)
     for ax, tilt in zip(axes, (10, 25, 45), strict=True):
         poses = spm.pose(points, xyx=np.deg2rad([20.0, tilt, -10.0]))
-        count = spm.inverse_displacement(GEOMETRY, poses).count
+        count = spm.inverse_displacement(MACHINE, poses).count
         image = ax.imshow(count, extent=(-1.5, 1.5, -1.5, 1.5), origin="lower", cmap=colours, norm=norm)
         ax.set(xlabel="$o_X$ [m]")
         ax.set_title(f"(20°, {tilt}°, −10°)", fontsize=9)
@@ -128,7 +128,7 @@ def followed_path() -> Figure:
             [1.10, 1.35, 1.60, 1.30, 1.40, 1.20],
         ]
     )
-    path = spm.follow(GEOMETRY, legs)
+    path = spm.follow(MACHINE, legs)
     figure = Figure(figsize=(8.5, 3.2))
     left, right = figure.subplots(1, 2)
     plot_legs(left, path.parameters, path.configurations.leg_lengths, fontsize=8)
@@ -158,21 +158,21 @@ def condition_numbers(count: int = 4000) -> Figure:
     left, right = figure.subplots(1, 2)
     shares = np.random.default_rng(0).uniform(-1.0, 1.0, (count, 6))
     lengths = np.geomspace(0.03, 6.0, 40)
-    everywhere = spm.kinematics.platform_jacobian(spm.forward_physical(GEOMETRY, 1.3 + 0.2 * shares))
+    everywhere = spm.kinematics.platform_jacobian(spm.forward_physical(MACHINE, 1.3 + 0.2 * shares))
     quantiles = np.array([np.quantile(_condition(everywhere, length), [0.05, 0.5, 0.95]) for length in lengths])
     left.fill_between(lengths, quantiles[:, 0], quantiles[:, 2], color=LOWER, alpha=0.2, lw=0.0, label="90 % of states")
     left.plot(lengths, quantiles[:, 1], color=LOWER, label="median")
-    left.axvline(GEOMETRY.platform_radius, color=GREY, lw=0.9, ls=":")
-    left.annotate("C", (1.05 * GEOMETRY.platform_radius, 11.0), color=GREY)
+    left.axvline(MACHINE.platform_radius, color=GREY, lw=0.9, ls=":")
+    left.annotate("C", (1.05 * MACHINE.platform_radius, 11.0), color=GREY)
     left.set(xlabel="characteristic length L [m]", ylabel="condition number of G", ylim=(10.0, 1e5))
     steps = np.geomspace(1e-3, 0.2, 12)
     columns = []
     for step in steps:
-        states = spm.forward_physical(GEOMETRY, 1.3 + step * shares[:500])
+        states = spm.forward_physical(MACHINE, 1.3 + step * shares[:500])
         g = spm.kinematics.platform_jacobian(states)
         radius = spm.capability.wrench_polytope(states, 1.0).ball()
         conditions = spm.singularities(states).condition
-        columns.append([np.median(x) for x in (_condition(g, GEOMETRY.platform_radius), *conditions[:, :2].T, radius)])
+        columns.append([np.median(x) for x in (_condition(g, MACHINE.platform_radius), *conditions[:, :2].T, radius)])
     looks = {"G, with L = C": (LOWER, "-", 1.5), "J_b": (UPPER, "-", 3.0), "J_c": ("k", ":", 1.5)}
     for values, (name, (colour, style, width)) in zip(np.array(columns).T[:3], looks.items(), strict=True):
         right.plot(steps, values, color=colour, ls=style, lw=width, label=f"condition number of {name}")
@@ -195,7 +195,7 @@ def _condition(g: np.ndarray, length: float) -> np.ndarray:
 
 def capability() -> Figure:
     """Draw the forces and the moments that legs of 1 kN hold, weights aside, without and with a limit of bending."""
-    state = spm.forward_physical(GEOMETRY, [1.20, 1.20, 1.40, 1.25, 1.20, 1.40])
+    state = spm.forward_physical(MACHINE, [1.20, 1.20, 1.40, 1.25, 1.20, 1.40])
     held = spm.capability.wrench_polytope(state, 1000.0)
     bearing = held.within(spm.capability.joint_reactions(state).bending, 250.0)
     panels = {
@@ -219,7 +219,7 @@ def capability() -> Figure:
 def design_front() -> Figure:
     """Draw the front of the page on capability; its search takes some seconds, and is kept below build/."""
     problem = spm.design.DesignProblem(
-        GEOMETRY,
+        MACHINE,
         free={"base_radius": (0.4, 1.0), "platform_radius": (0.2, 0.6), "middle_side": (0.5, 1.1)},
         aims={"payload_low": "max", "volume": "max", "footprint": "min"},
         at_least={"certified": 1.0},

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from assembly_mode_changes import Array, NonsingularChange, ProvedRange, nonsingular_changes, proved_ranges
 from rank_strata import AXIS, Stratum, matrix_rank, strata
-from stage_placement import GEOMETRY, SAMPLES, problems
+from stage_placement import MACHINE, SAMPLES, problems
 
 import spm_pin as spm
 from spm_pin.kinematics.singularity_analysis import singular_values
@@ -53,11 +53,11 @@ def tetrahedron_determinants(configuration: spm.Configuration) -> tuple[Array, A
 
 def tetrahedron() -> list[Tetrahedron]:
     """Return the ratio of the tetrahedron's determinant and det K, in units of 2 / (√3 d²), for each family."""
-    unit = 2.0 / (np.sqrt(3.0) * GEOMETRY.middle_side**2)
+    unit = 2.0 / (np.sqrt(3.0) * MACHINE.middle_side**2)
     found = []
     for family in FAMILIES:
         planes, structure = tetrahedron_determinants(
-            problems.random_branches(GEOMETRY, family, SAMPLES, seed=0).configuration
+            problems.random_branches(MACHINE, family, SAMPLES, seed=0).configuration
         )
         ratios = planes / (unit * structure)
         found.append(Tetrahedron(family, len(ratios), float(np.median(ratios)), float(np.ptp(ratios))))
@@ -81,10 +81,10 @@ class Freedoms:
 def freedoms() -> list[Freedoms]:
     """Return the mobility from the rank of the closures in Pinocchio, and the rank of the platform's Jacobian."""
     chain = spm.ClosedChain.from_urdf()
-    home = spm.forward_physical(GEOMETRY, [1.3] * 6)
-    mirrored = problems.without_torsion(GEOMETRY, (AXIS, np.sin(0.2), 1.1), (AXIS, -np.sin(0.1), -1.2))
+    home = spm.forward_physical(MACHINE, [1.3] * 6)
+    mirrored = problems.without_torsion(MACHINE, (AXIS, np.sin(0.2), 1.1), (AXIS, -np.sin(0.1), -1.2))
     states = {
-        "solution 3 of the paper": spm.forward_physical(GEOMETRY, [1.20, 1.20, 1.40, 1.25, 1.20, 1.50]),
+        "solution 3 of the paper": spm.forward_physical(MACHINE, [1.20, 1.20, 1.40, 1.25, 1.20, 1.50]),
         "both stages tilted about the revolute axis of leg 1": mirrored,
         "the symmetric home": home,
     }
@@ -120,9 +120,9 @@ def passages() -> list[Passage]:
     }
     found = []
     for name, (family, half_sine) in states.items():
-        state = problems.without_torsion(GEOMETRY, (azimuth, half_sine, 1.1), upper, family)
+        state = problems.without_torsion(MACHINE, (azimuth, half_sine, 1.1), upper, family)
         values = singular_values(_lower_structure(state))
-        mean_radius = (state.middle_joints * GEOMETRY.radial_directions).sum(axis=-1).mean()
+        mean_radius = (state.middle_joints * MACHINE.radial_directions).sum(axis=-1).mean()
         mode = "T or F" if abs(mean_radius) < 1e-12 else "T" if mean_radius > 0.0 else "F"
         determinant = float(spm.singularities(state).scaled_determinants[0])
         rank = int((values > 1e-12).sum())
@@ -132,8 +132,8 @@ def passages() -> list[Passage]:
 
 def _lower_structure(state: spm.Configuration) -> Array:
     """Return K_b (3, 6), the wrenches of the lower stage's revolute joints."""
-    arms = (state.middle_joints - state.middle_joints.mean(axis=0)) / GEOMETRY.middle_side
-    return np.concatenate([GEOMETRY.revolute_axes, np.cross(arms, GEOMETRY.revolute_axes)], axis=-1)
+    arms = (state.middle_joints - state.middle_joints.mean(axis=0)) / MACHINE.middle_side
+    return np.concatenate([MACHINE.revolute_axes, np.cross(arms, MACHINE.revolute_axes)], axis=-1)
 
 
 def self_motion(steps: int = 200) -> tuple[Array, Array]:
@@ -142,14 +142,14 @@ def self_motion(steps: int = 200) -> tuple[Array, Array]:
     Hips at E = 0.75 r as in the paper's upper stage, one leg 3E long, the others √(3(r² - E²)); from the half turn at
     which both modes meet. With ψ counted from the axis of the odd leg, p = (1 ± 2E/r) / (1 ± 2 cos 2ψ).
     """
-    e, r = GEOMETRY.platform_radius / GEOMETRY.middle_radius, GEOMETRY.middle_radius
+    e, r = MACHINE.platform_radius / MACHINE.middle_radius, MACHINE.middle_radius
     psi = 0.5 * np.arccos(e) * np.linspace(1.0, 0.0, steps)
     lengths, tilts = [], []
     for mode, sign in (("T", 1.0), ("F", -1.0)):
         p = np.minimum((1.0 + sign * 2.0 * e) / (1.0 + sign * 2.0 * np.cos(2.0 * psi)), 1.0)
         # Leg 2 is the odd one: the axis of its revolute joint has the azimuth 180°.
-        joints = problems.corners(GEOMETRY, problems.stage(mode, np.pi + psi, np.sqrt(p), 0.0, r)) / r
-        joints = joints - e * GEOMETRY.radial_directions
+        joints = problems.corners(MACHINE, problems.stage(mode, np.pi + psi, np.sqrt(p), 0.0, r)) / r
+        joints = joints - e * MACHINE.radial_directions
         joints[..., 2] -= joints[:, 1:2, 2]  # leg 2 lies flat across the base
         lengths.append(np.linalg.norm(joints, axis=-1))
         tilts.append(p)
@@ -176,7 +176,7 @@ def tables() -> dict[str, str]:
         "passages": _table("state, mode, closure residual [m], rank of K_b, det J_b / d³", passages()),
         "self_motion": motion,
         "ranges": _table("from E/r, to, boxes", proved_ranges()),
-        "cuspidal": _table(f"stage, E/r, {ends}", nonsingular_changes(GEOMETRY)),
+        "cuspidal": _table(f"stage, E/r, {ends}", nonsingular_changes(MACHINE)),
     }
 
 

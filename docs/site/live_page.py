@@ -28,8 +28,8 @@ from spm_pin.description.visuals import bodies, read_obj, section_size, visual_p
 from spm_pin.display.rendering import AXIS_COLOURS, TRIAD
 
 SITE = Path(__file__).parent
-GEOMETRY = spm.Manipulator.paper()
-BODIES = bodies(GEOMETRY)
+MACHINE = spm.Manipulator.paper()
+BODIES = bodies(MACHINE)
 FLAGS = "--target=wasm32 -std=c99 -O2 -ffp-contract=off -fno-math-errno -ffreestanding -nostdlib -mbulk-memory"
 LINKED = "--no-entry --allow-undefined --strip-all --initial-memory=131072 --export=__heap_base"
 EXPORTED = ("spm_machine", "spm_all_branches", "spm_inverse", "spm_forward")
@@ -110,11 +110,11 @@ def fragment(module: bytes) -> str:
         "meshes": packed(meshes),
         "parts": _parts(ranges),
         "bodies": BODIES,
-        "axes": np.vstack([GEOMETRY.revolute_axes, GEOMETRY.revolute_axes]).tolist(),
-        "hips": np.vstack([GEOMETRY.base_joints, GEOMETRY.platform_joints]).tolist(),
-        "size": section_size(GEOMETRY),
-        "triad": TRIAD * section_size(GEOMETRY),
-        "limits": [GEOMETRY.limits.minimum, GEOMETRY.limits.maximum] if GEOMETRY.limits else None,
+        "axes": np.vstack([MACHINE.revolute_axes, MACHINE.revolute_axes]).tolist(),
+        "hips": np.vstack([MACHINE.base_joints, MACHINE.platform_joints]).tolist(),
+        "size": section_size(MACHINE),
+        "triad": TRIAD * section_size(MACHINE),
+        "limits": [MACHINE.limits.minimum, MACHINE.limits.maximum] if MACHINE.limits else None,
     }
     return assembled(SITE / "live", data)
 
@@ -132,7 +132,7 @@ def assembled(folder: Path, data: dict[str, object]) -> str:
 def webassembly() -> bytes | None:
     """Return the exported C of the paper's machine as a WebAssembly module, None where it cannot be compiled."""
     with TemporaryDirectory() as folder:
-        spm.export.write_c(GEOMETRY, folder)
+        spm.export.write_c(MACHINE, folder)
         return compiled(Path(folder, "spm_kinematics.c"), EXPORTED)
 
 
@@ -162,7 +162,7 @@ def _meshes() -> tuple[bytes, dict[str, tuple[float, int, int]]]:
     faces: list[npt.NDArray[np.uint16]] = []
     ranges = {}
     count = first = 0
-    for name in sorted({part.mesh for part in visual_parts(GEOMETRY)}):
+    for name in sorted({part.mesh for part in visual_parts(MACHINE)}):
         points, normals, corners = _corners(name)
         pairs, triangles = np.unique(corners, axis=0, return_inverse=True)
         triangles = triangles.reshape(-1, 3)
@@ -190,11 +190,11 @@ def _parts(ranges: dict[str, tuple[float, int, int]]) -> list[list[object]]:
         numbers = (matrix * [scale, scale, scale, 1.0]).T.ravel().round(5) + 0.0  # -0.0 becomes 0.0
         parts.append([BODIES.index(body), mesh, first, count, *(round(float(x), 5) for x in (*colour, *numbers))])
 
-    for part in visual_parts(GEOMETRY):
+    for part in visual_parts(MACHINE):
         points, _ = mesh(part.mesh)
         found = np.linalg.lstsq(np.column_stack([points, np.ones(len(points))]), part.vertices, rcond=None)
         add(part.body, part.mesh, part.colour, found[0].T)
-    length = TRIAD * section_size(GEOMETRY)
+    length = TRIAD * section_size(MACHINE)
     for body in ("base", "terminal_platform"):
         for k, colour in enumerate(AXIS_COLOURS.values()):
             turned = np.roll(np.eye(3), k + 1, axis=0) * length * np.array([0.04, 0.04, 1.0])

@@ -10,7 +10,7 @@ import sys
 from dataclasses import replace
 
 import numpy as np
-from figures import GEOMETRY, IMAGES
+from figures import IMAGES, MACHINE
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LinearSegmentedColormap, Normalize
@@ -38,11 +38,11 @@ PHASE = np.array([53.0, 77.0, 71.0, 102.0, 140.0, 261.0])
 def main(frames: int) -> None:
     """Draw all frames and write them as one WebP that repeats."""
     turns = np.linspace(0.0, 360.0, frames, endpoint=False)
-    states = spm.forward_physical(GEOMETRY, MEAN + AMPLITUDE * np.cos(np.deg2rad(turns[:, None] + PHASE)))
-    branches = spm.inverse_displacement(GEOMETRY, states.pose)
+    states = spm.forward_physical(MACHINE, MEAN + AMPLITUDE * np.cos(np.deg2rad(turns[:, None] + PHASE)))
+    branches = spm.inverse_displacement(MACHINE, states.pose)
     forces = spm.leg_forces(states, [0.0, 0.0, -500.0, 0.0, 0.0, 0.0])
-    assert GEOMETRY.limits is not None
-    assert GEOMETRY.limits.contains(states.readings).all()
+    assert MACHINE.limits is not None
+    assert MACHINE.limits.contains(states.readings).all()
     assert np.abs(forces).max() < LARGEST
     loaded = [_loaded(states[k], forces[k]) for k in range(frames)]
     others = [[_solids(state) for state in branches[k]] for k in range(frames)]
@@ -66,7 +66,7 @@ def _loaded(state: spm.Configuration, forces: np.ndarray) -> list[Solid]:
     for solid in _solids(state):
         leg = colours.get(f"r_{solid.name[4:6]}") if solid.name.endswith(" tube") else None
         solids.append(solid if leg is None else replace(solid, colour=tuple(leg)))
-    length = 1.4 * section_size(GEOMETRY)
+    length = 1.4 * section_size(MACHINE)
     downward = np.diag([1.0, -1.0, -1.0])
     return [*solids, arrow("load", LOAD, downward, state.translation + np.array([0.0, 0.0, length]), length)]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from assembly_mode_changes import Array, differences
-from stage_placement import GEOMETRY, SAMPLES, compose, problems
+from stage_placement import MACHINE, SAMPLES, compose, problems
 
 import spm_pin as spm
 
@@ -67,7 +67,7 @@ def _stratum(name: str, angles: Callable[..., Angles], rng: np.random.Generator)
     configurations = compose(turned, heights)
     found = spm.singularities(configurations)
     (rank,) = np.unique(found.rank[:, 2])
-    family = spm.inverse_displacement(GEOMETRY, configurations.pose).degeneracy
+    family = spm.inverse_displacement(MACHINE, configurations.pose).degeneracy
     assert family is not None
     (finite,) = np.unique(family.dimension)
 
@@ -82,12 +82,12 @@ def _stratum(name: str, angles: Callable[..., Angles], rng: np.random.Generator)
 def structure_matrix(turned: Array, heights: Array) -> Array:
     """Return K (N, 6, 6) at the middle platform's centre, lengths in units of d."""
     configuration = compose(turned, heights)
-    axes = GEOMETRY.revolute_axes
+    axes = MACHINE.revolute_axes
     forces = np.concatenate(
         [np.broadcast_to(axes, (len(turned), 3, 3)), axes @ np.swapaxes(configuration.rotation, -1, -2)], axis=1
     )
     arms = configuration.middle_joints - configuration.middle_joints.mean(axis=1, keepdims=True)
-    return np.concatenate([forces, np.cross(np.tile(arms, (1, 2, 1)) / GEOMETRY.middle_side, forces)], axis=-1)
+    return np.concatenate([forces, np.cross(np.tile(arms, (1, 2, 1)) / MACHINE.middle_side, forces)], axis=-1)
 
 
 def _linearised(turned: Array, heights: Array, rank: int) -> Array:

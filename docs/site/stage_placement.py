@@ -12,12 +12,12 @@ import spm_pin as spm
 sys.path.append(str(Path(__file__).parents[2] / "tests"))
 import problems
 
-GEOMETRY = spm.Manipulator.paper()
+MACHINE = spm.Manipulator.paper()
 SAMPLES = 50
 """States of each family or stratum."""
 
 
 def compose(quaternions: Array, heights: Array) -> spm.Configuration:
     """Return the configurations (...) of two stages: quaternions (..., 2, 4) and heights (..., 2) [m]."""
-    stages = (problems.stage_at(quaternions[..., k, :], heights[..., k], GEOMETRY.middle_radius) for k in range(2))
-    return problems.compose(GEOMETRY, *stages).configuration
+    stages = (problems.stage_at(quaternions[..., k, :], heights[..., k], MACHINE.middle_radius) for k in range(2))
+    return problems.compose(MACHINE, *stages).configuration

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from figures import GEOMETRY, IMAGES
+from figures import IMAGES, MACHINE
 from PIL import Image
 
 import spm_pin as spm
@@ -22,7 +22,7 @@ BALANCER = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), limits=np.radian
 
 def main() -> None:
     """Open a page for each picture."""
-    state = spm.forward_physical(GEOMETRY, [1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
+    state = spm.forward_physical(MACHINE, [1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
     with chromium() as browser:
         for name, (size, dark) in PICTURES.items():
             tilted = spm.stages.inverse_physical(BALANCER, 0.12, tilt=np.radians(12), azimuth=np.radians(60))

@@ -21,9 +21,9 @@ from spm_pin.sweeps import METRICS
 
 pytest.importorskip("pymoo")
 
-GEOMETRY = spm.Manipulator(0.7, 0.35, 0.8, spm.LegLimits(1.2, 1.4))
+MACHINE = spm.Manipulator(0.7, 0.35, 0.8, spm.LegLimits(1.2, 1.4))
 PROBLEM = DesignProblem(
-    GEOMETRY,
+    MACHINE,
     free={"platform_radius": (0.25, 0.6), "base_radius": (0.5, 0.9), "upper_stroke": (0.1, 0.25)},
     aims={"payload_low": "max", "footprint": "min"},
     at_least={"assembled": 1.0},
@@ -37,7 +37,7 @@ def test_machines_have_the_values_of_the_free_variables() -> None:
     assert machine.limits is not None
     np.testing.assert_allclose(machine.limits.minimum, [1.2] * 6)
     np.testing.assert_allclose(machine.limits.maximum, [1.4] * 3 + [1.4] * 3)
-    both = DesignProblem(GEOMETRY, {"minimum": (1.0, 1.2), "stroke": (0.1, 0.3)}, PROBLEM.aims)
+    both = DesignProblem(MACHINE, {"minimum": (1.0, 1.2), "stroke": (0.1, 0.3)}, PROBLEM.aims)
     assert both.machine_of(np.array([1.1, 0.15])).limits == spm.LegLimits(1.1, 1.1 + 0.15)
 
 
@@ -139,7 +139,7 @@ def test_bounds_are_kept_and_machines_without_numbers_lose(tmp_path: Path) -> No
     assert (front.designs.columns["certified"] == 1.0).all()
     assert not (front.evaluated.columns["certified"] == 1.0).all()
     # One aim gives the best machine. E has a bound by the footprint, which the largest volume at a payload does not.
-    problem = DesignProblem(GEOMETRY, PROBLEM.free, {"volume": "max"}, {"payload_low": 0.3}, {"footprint": 1.5})
+    problem = DesignProblem(MACHINE, PROBLEM.free, {"volume": "max"}, {"payload_low": 0.3}, {"footprint": 1.5})
     front = pareto_front(problem, tmp_path / "best.json", **SMALL)
     columns = front.evaluated.columns
     keep = (columns["payload_low"] >= 0.3) & (columns["footprint"] <= 1.5)
@@ -169,7 +169,7 @@ def test_problems_that_are_none_are_refused(changes: dict[str, Any], text: str) 
 
 
 def test_the_command_searches_shows_and_writes_a_machine(tmp_path: Path) -> None:
-    GEOMETRY.to_yaml(tmp_path / "start.yaml")
+    MACHINE.to_yaml(tmp_path / "start.yaml")
     command = ["design", tmp_path / "front.json", "--machine", tmp_path / "start.yaml"]
     command += ["--free", "platform_radius:0.25:0.6", "--free", "base_radius:0.5:0.9"]
     command += ["--maximise", "payload_low", "--minimise", "footprint", "--at-least", "assembled:1"]

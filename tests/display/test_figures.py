@@ -21,7 +21,7 @@ from spm_pin.errors import ArgumentError
 from spm_pin.motion import plan, time_optimal
 from spm_pin.multibody.chain import ClosedChain
 
-GEOMETRY = spm.Manipulator.paper()
+MACHINE = spm.Manipulator.paper()
 
 
 @pytest.mark.parametrize("ending", ["pdf", "svg"])
@@ -46,25 +46,25 @@ def test_a_legend_lies_within_its_figure(name: str) -> None:
 
 
 def motion() -> Figure:
-    chain = ClosedChain.from_urdf(machine=GEOMETRY)
+    chain = ClosedChain.from_urdf(machine=MACHINE)
     home, end = [1.2, 1.2, 1.4, 1.25, 1.2, 1.5], [1.21, 1.2, 1.4, 1.25, 1.2, 1.5]
-    planned = plan(GEOMETRY, home, end, spm.LegLimits(1.0, 1.6))
+    planned = plan(MACHINE, home, end, spm.LegLimits(1.0, 1.6))
     return motion_figure(time_optimal(chain, planned, leg_accelerations=1.0))
 
 
 PATH = [[1.2, 1.2, 1.4, 1.25, 1.2, 1.45], [1.45, 1.15, 1.3, 1.2, 1.5, 1.35], [1.1, 1.35, 1.6, 1.3, 1.4, 1.2]]
 FIGURES = {
-    "path": lambda: path_figure(spm.follow(GEOMETRY, PATH)),
+    "path": lambda: path_figure(spm.follow(MACHINE, PATH)),
     "motion": motion,
-    "certificate": lambda: certificate_figure(spm.certify(GEOMETRY, spm.LegLimits(1.2, 1.25))),
-    "agreement": lambda: agreement_figure(compare_methods(GEOMETRY, poses=1, methods=["closed-form", "paper"])),
+    "certificate": lambda: certificate_figure(spm.certify(MACHINE, spm.LegLimits(1.2, 1.25))),
+    "agreement": lambda: agreement_figure(compare_methods(MACHINE, poses=1, methods=["closed-form", "paper"])),
 }
 """Figures of results by their names."""
 
 
 def test_each_pair_has_a_bar_as_long_as_its_share_of_the_tolerance() -> None:
-    wrong = Paper(GEOMETRY, mistakes=Table5Mistakes(printed_lever_arm=True))
-    report = compare_methods(GEOMETRY, poses=4, methods=["closed-form", wrong])
+    wrong = Paper(MACHINE, mistakes=Table5Mistakes(printed_lever_arm=True))
+    report = compare_methods(MACHINE, poses=4, methods=["closed-form", wrong])
     figure = agreement_figure(report)
     (ax,) = figure.axes
     ends = {round(bar.get_y() + 0.5 * bar.get_height()): bar.get_x() + bar.get_width() for bar in ax.patches}
@@ -95,9 +95,9 @@ def test_figures_that_cannot_be_written(tmp_path, name: str) -> None:
 
 def test_a_front_shows_its_machines_and_the_one_that_it_began_with() -> None:
     columns = {"volume": np.array([1.0, 2.0, 3.0]), "footprint": np.array([1.0, 1.5, 2.5])}
-    three = Designs((GEOMETRY,) * 3, columns)
-    one = Designs((GEOMETRY,), {name: column[:1] + 0.4 for name, column in columns.items()})
-    problem = DesignProblem(GEOMETRY, {"stroke": (0.1, 0.3)}, {"volume": "max", "footprint": "min"})
+    three = Designs((MACHINE,) * 3, columns)
+    one = Designs((MACHINE,), {name: column[:1] + 0.4 for name, column in columns.items()})
+    problem = DesignProblem(MACHINE, {"stroke": (0.1, 0.3)}, {"volume": "max", "footprint": "min"})
     (ax,) = front_figure(Front(problem, three, three, one)).axes
     evaluated, front, start = ax.collections
     np.testing.assert_array_equal(evaluated.get_offsets(), np.stack([*columns.values()], axis=-1))

@@ -74,7 +74,7 @@ def test_modes_meet_at_half_turns_where_the_revolute_joints_are_dependent() -> N
 
 def test_a_self_motion_passes_from_mode_t_to_mode_f() -> None:
     lengths, p = literature.self_motion()
-    e = literature.GEOMETRY.platform_radius / literature.GEOMETRY.middle_radius
+    e = literature.MACHINE.platform_radius / literature.MACHINE.middle_radius
     expected = np.sqrt([3.0 * (1.0 - e**2), (3.0 * e) ** 2, 3.0 * (1.0 - e**2)])
     np.testing.assert_allclose(lengths, np.broadcast_to(expected, lengths.shape), atol=1e-13)
     np.testing.assert_array_equal(p[:, 0], 1.0)  # both halves begin at the half turn
@@ -83,7 +83,7 @@ def test_a_self_motion_passes_from_mode_t_to_mode_f() -> None:
 
 
 def test_assembly_modes_of_equal_lengths_are_joined_without_a_singularity() -> None:
-    found = nonsingular_changes(literature.GEOMETRY)
+    found = nonsingular_changes(literature.MACHINE)
     hips = {mode: {round(row.hips, 9) for row in found if row.stage.endswith(mode)} for mode in ("T", "F")}
     assert hips["T"] >= {0.1, 0.233, 0.4, 0.6, 0.75, 1.0, 1.5, 3.0}
     assert hips["F"] >= {0.1, 0.5, 0.75, 1.0, 1.5}

@@ -15,8 +15,8 @@ from spm_pin.sweeps import METRICS, Metric, Points
 from spm_pin.sweeps.metrics import resolve_metrics
 from spm_pin.sweeps.points import Space
 
-GEOMETRY = spm.Manipulator.paper()
-BUILT = GEOMETRY.perturbed(3, length=2e-3, angle=2e-3)
+MACHINE = spm.Manipulator.paper()
+BUILT = MACHINE.perturbed(3, length=2e-3, angle=2e-3)
 
 
 def legs(count: int, seed: int = 0, low: float = 1.1, high: float = 1.5) -> np.ndarray:
@@ -25,7 +25,7 @@ def legs(count: int, seed: int = 0, low: float = 1.1, high: float = 1.5) -> np.n
 
 def mixed_poses(count: int) -> np.ndarray:
     """Poses, some within the leg limits, some beyond, some that nothing reaches."""
-    states = spm.forward_physical(GEOMETRY, legs(2 * count, low=1.0, high=1.6))
+    states = spm.forward_physical(MACHINE, legs(2 * count, low=1.0, high=1.6))
     states = states[states.exists][:count]
     angles = states.pose.rotation.as_euler("XYX")
     poses = np.concatenate([states.translation, angles], axis=-1)
@@ -36,11 +36,11 @@ def mixed_poses(count: int) -> np.ndarray:
 @pytest.fixture(params=["pose", "legs"])
 def points(request: pytest.FixtureRequest) -> Points:
     space: Space = request.param
-    return Points(GEOMETRY, space, mixed_poses(120) if space == "pose" else legs(60, low=1.0, high=1.6))
+    return Points(MACHINE, space, mixed_poses(120) if space == "pose" else legs(60, low=1.0, high=1.6))
 
 
 @pytest.mark.parametrize("name", METRICS)
-@pytest.mark.parametrize("machine", [GEOMETRY, BUILT], ids=["drawn", "as built"])
+@pytest.mark.parametrize("machine", [MACHINE, BUILT], ids=["drawn", "as built"])
 def test_every_metric_has_a_value_where_it_says(points: Points, machine: spm.Manipulator, name: str) -> None:
     mine, points = METRICS[name], Points(machine, points.space, points.coordinates)
     values = mine.evaluate(points)
@@ -53,10 +53,10 @@ def test_every_metric_has_a_value_where_it_says(points: Points, machine: spm.Man
 
 
 @pytest.mark.parametrize("space", ["pose", "legs"])
-@pytest.mark.parametrize("machine", [GEOMETRY, BUILT], ids=["drawn", "as built"])
+@pytest.mark.parametrize("machine", [MACHINE, BUILT], ids=["drawn", "as built"])
 def test_metrics_are_those_of_direct_calls(machine: spm.Manipulator, space: Space) -> None:
     coordinates = mixed_poses(120) if space == "pose" else legs(40, low=1.05, high=1.55)
-    points, accuracy = Points(machine, space, coordinates), 1e-12 if machine is GEOMETRY else 1e-9
+    points, accuracy = Points(machine, space, coordinates), 1e-12 if machine is MACHINE else 1e-9
     if space == "pose":
         expected = spm.inverse_displacement(machine, spm.pose(coordinates[:, :3], xyx=coordinates[:, 3:]))
         np.testing.assert_array_equal(METRICS["branches"].evaluate(points), expected.count)
@@ -83,7 +83,7 @@ def test_metrics_are_those_of_direct_calls(machine: spm.Manipulator, space: Spac
         scale = machine.platform_radius if length is None else length
         sizes = np.linalg.svd(spm.inverse_jacobian(reached) / np.repeat([1.0, scale], 3), compute_uv=False)
         values = METRICS["conditioning"](length=length).evaluate(points)[exists]
-        np.testing.assert_allclose(values, sizes[:, -1] / sizes[:, 0], rtol=1e-8 if machine is GEOMETRY else 1e-6)
+        np.testing.assert_allclose(values, sizes[:, -1] / sizes[:, 0], rtol=1e-8 if machine is MACHINE else 1e-6)
         means = np.exp(-2.0 * np.log(sizes).mean(axis=-1)), (sizes**-2).mean(axis=-1)
         values = METRICS["isotropy"](length=length).evaluate(points)[exists]
         np.testing.assert_allclose(values, means[0] / means[1], rtol=1e-6)
@@ -102,10 +102,10 @@ def test_the_branch_is_the_machines(points: Points) -> None:
 
 def test_leg_lengths_and_the_pose_they_make_have_the_same_metrics() -> None:
     lengths = legs(40)
-    by_legs = Points(GEOMETRY, "legs", lengths)
-    state = spm.forward_physical(GEOMETRY, lengths)
+    by_legs = Points(MACHINE, "legs", lengths)
+    state = spm.forward_physical(MACHINE, lengths)
     poses = np.concatenate([state.translation, state.pose.rotation.as_euler("XYX")], axis=-1)
-    by_pose = Points(GEOMETRY, "pose", poses)
+    by_pose = Points(MACHINE, "pose", poses)
     # The few poses that two machines can be in are left out.
     same = ~by_pose.solutions.within().ambiguous
     assert same.sum() > 30
@@ -117,22 +117,22 @@ def test_leg_lengths_and_the_pose_they_make_have_the_same_metrics() -> None:
 
 def test_assembly_modes_are_counted_as_the_solver_does() -> None:
     lengths = legs(70)
-    expected = spm.forward_displacement(GEOMETRY, lengths).count
-    np.testing.assert_array_equal(METRICS["assembly_modes"].evaluate(Points(GEOMETRY, "legs", lengths)), expected)
+    expected = spm.forward_displacement(MACHINE, lengths).count
+    np.testing.assert_array_equal(METRICS["assembly_modes"].evaluate(Points(MACHINE, "legs", lengths)), expected)
 
 
 def test_conditioning_does_not_depend_on_the_size_of_the_machine() -> None:
-    small = spm.Manipulator(GEOMETRY.base_radius / 50, GEOMETRY.platform_radius / 50, GEOMETRY.middle_side / 50)
+    small = spm.Manipulator(MACHINE.base_radius / 50, MACHINE.platform_radius / 50, MACHINE.middle_side / 50)
     lengths = legs(20)
     for name in ("conditioning", "isotropy", "forward_distance", "inverse_distance", "det_structure", "payload"):
-        large = METRICS[name].evaluate(Points(GEOMETRY, "legs", lengths))
+        large = METRICS[name].evaluate(Points(MACHINE, "legs", lengths))
         np.testing.assert_allclose(
             METRICS[name].evaluate(Points(small, "legs", lengths / 50)), large, rtol=1e-9, err_msg=name
         )
 
 
 def test_payload_is_the_most_that_leg_forces_allow_in_any_direction() -> None:
-    points = Points(GEOMETRY, "legs", legs(8))
+    points = Points(MACHINE, "legs", legs(8))
     value = METRICS["payload"](push=900.0, pull=400.0).evaluate(points)
     directions = np.random.default_rng(1).normal(size=(20_000, 3))
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
@@ -145,7 +145,7 @@ def test_payload_is_the_most_that_leg_forces_allow_in_any_direction() -> None:
 
 
 def test_payload_downwards_solves_a_linear_programme() -> None:
-    points = Points(GEOMETRY, "legs", legs(8, seed=3))
+    points = Points(MACHINE, "legs", legs(8, seed=3))
     value = METRICS["payload_down"](push=900.0, pull=400.0).evaluate(points)
     for k in range(len(points)):
         # Largest f with -400 <= f a <= 900 for the leg forces a under one newton along -Z.
@@ -157,7 +157,7 @@ def test_payload_downwards_solves_a_linear_programme() -> None:
 
 
 def test_stiffness_is_that_of_springs_in_the_legs() -> None:
-    points = Points(GEOMETRY, "legs", legs(8))
+    points = Points(MACHINE, "legs", legs(8))
     jacobians = spm.inverse_jacobian(points.physical)
     compliance = np.linalg.inv(2e7 * jacobians.swapaxes(-1, -2) @ jacobians)[:, :3, :3]
     expected = 1.0 / np.linalg.eigvalsh(compliance)[:, -1]
@@ -169,11 +169,11 @@ def test_stiffness_is_that_of_springs_in_the_legs() -> None:
 
 
 def test_the_margin_is_signed() -> None:
-    points = Points(GEOMETRY, "pose", mixed_poses(120))
+    points = Points(MACHINE, "pose", mixed_poses(120))
     margin = METRICS["leg_margin"].evaluate(points)
     np.testing.assert_array_equal(margin >= 0, points.reachable)
     assert (margin < 0).any()
-    free = dataclasses.replace(GEOMETRY, limits=None)
+    free = dataclasses.replace(MACHINE, limits=None)
     with pytest.raises(spm.ArgumentError, match="leg limits") as error:
         METRICS["leg_margin"].evaluate(Points(free, "pose", points.coordinates))
     assert error.value.__notes__ == ["while evaluating the metric 'leg_margin'"]
@@ -194,14 +194,14 @@ def test_distances_and_determinants_are_those_of_singularities(points: Points) -
 @pytest.mark.parametrize("which", PAPER_TILTS)
 def test_singular_states_among_regular_ones_do_not_stop_a_sweep(which: int) -> None:
     singular = singular_state(which, *PAPER_TILTS[which])
-    regular = spm.forward_physical(GEOMETRY, legs(3))
-    points = Points(GEOMETRY, "legs", legs(4))
+    regular = spm.forward_physical(MACHINE, legs(3))
+    points = Points(MACHINE, "legs", legs(4))
     joined = [
         np.concatenate([getattr(regular, name), getattr(singular, name)[None]])
         for name in ("rotation", "translation", "middle_joints")
     ]
-    vars(points)["_reached"] = np.ones(4, dtype=bool), spm.Configuration.from_arrays(GEOMETRY, *joined)
-    alone = Points(GEOMETRY, "legs", legs(3))
+    vars(points)["_reached"] = np.ones(4, dtype=bool), spm.Configuration.from_arrays(MACHINE, *joined)
+    alone = Points(MACHINE, "legs", legs(3))
     for mine in (METRICS[name] for name in ("conditioning", "isotropy", "payload", "payload_down", "least_stiffness")):
         values = mine.evaluate(points)
         assert np.isfinite(values).all()
@@ -218,7 +218,7 @@ def test_singular_states_among_regular_ones_do_not_stop_a_sweep(which: int) -> N
 def test_points_of_which_none_is_reached() -> None:
     far = np.tile([5.0, 0, 2, 0.1, 0.5, -0.1], (3, 1))
     for mine in METRICS.values():
-        values = mine.evaluate(Points(GEOMETRY, "pose", far))
+        values = mine.evaluate(Points(MACHINE, "pose", far))
         assert values.shape == (3,)
         assert np.isnan(values).all() or (values == mine.flags.get("none", 0)).all()
 
@@ -232,7 +232,7 @@ def r_b1(points: Points) -> np.ndarray:
 
 def test_a_metric_made_by_hand() -> None:
     mine = Metric("r_b1", "m", "length of leg r_b1", r_b1)
-    points = Points(GEOMETRY, "legs", legs(4))
+    points = Points(MACHINE, "legs", legs(4))
     np.testing.assert_allclose(mine.evaluate(points), points.coordinates[:, 0], rtol=1e-12)
     assert resolve_metrics([mine, "reachable"]) == (mine, METRICS["reachable"])
 
@@ -252,7 +252,7 @@ def test_a_metric_made_by_hand() -> None:
 def test_what_a_metric_returns_is_checked(changes: dict[str, object], says: str) -> None:
     mine = dataclasses.replace(Metric("mine", "1", "mine", r_b1), **changes)  # type: ignore[arg-type]
     with pytest.raises(spm.ArgumentError, match=says):
-        mine.evaluate(Points(GEOMETRY, "legs", legs(4)))
+        mine.evaluate(Points(MACHINE, "legs", legs(4)))
 
 
 @pytest.mark.parametrize(
@@ -285,7 +285,7 @@ ARRAYS = ("coordinates", "status", "branch_readings", "branches_within", "reacha
 @pytest.mark.parametrize("name", [*ARRAYS, "platform_jacobians"])
 @pytest.mark.parametrize("space", ["pose", "legs"])
 def test_metrics_cannot_modify_shared_points(name: str, space: Space) -> None:
-    points = Points(GEOMETRY, space, mixed_poses(20) if space == "pose" else legs(20))
+    points = Points(MACHINE, space, mixed_poses(20) if space == "pose" else legs(20))
     with pytest.raises(ValueError, match="read-only"):
         getattr(points, name)[...] = 0
     for array in (points.singular_values(0.3), points.physical.translation, points.solutions.leg_lengths):
@@ -298,6 +298,6 @@ def test_metrics_cannot_modify_shared_points(name: str, space: Space) -> None:
 )
 def test_a_definition_makes_a_metric_again(mine: Metric) -> None:
     again = Metric.from_definition(mine.definition())
-    points = Points(GEOMETRY, "legs", legs(3))
+    points = Points(MACHINE, "legs", legs(3))
     np.testing.assert_array_equal(again.evaluate(points), mine.evaluate(points))
     assert again.description == mine.description

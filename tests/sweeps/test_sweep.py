@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 import xarray
 import zarr
-from stores import CHUNK, GEOMETRY, GRID, METRICS, contents, records, small, times
+from stores import CHUNK, GRID, MACHINE, METRICS, contents, records, small, times
 
 import spm_pin as spm
 from spm_pin.sweeps import (
@@ -70,14 +70,14 @@ def test_values_are_those_of_direct_calls(undisturbed: Path) -> None:
     found = xarray.open_zarr(undisturbed).load()
     x, y, z, beta = np.meshgrid(found.x, found.y, found.z, found.beta, indexing="ij")
     angles = np.stack([np.full_like(beta, 0.01), beta, np.full_like(beta, 0.1)], axis=-1)
-    solutions = spm.inverse_displacement(GEOMETRY, spm.pose(np.stack([x, y, z], axis=-1), xyx=angles))
+    solutions = spm.inverse_displacement(MACHINE, spm.pose(np.stack([x, y, z], axis=-1), xyx=angles))
     np.testing.assert_array_equal(found.status, solutions.status)
     np.testing.assert_array_equal(found.branches, solutions.count)
     machine = solutions.within().physical()
     np.testing.assert_array_equal(found.reachable, machine.exists)
     assert 0.1 < float(found.reachable.mean()) < 0.9
     reached = machine[machine.exists]
-    scaled = spm.inverse_jacobian(reached) / np.repeat([1.0, GEOMETRY.platform_radius], 3)
+    scaled = spm.inverse_jacobian(reached) / np.repeat([1.0, MACHINE.platform_radius], 3)
     np.testing.assert_allclose(found.conditioning.values[machine.exists], 1 / np.linalg.cond(scaled), rtol=1e-8)
     assert found.conditioning.isnull().values[~machine.exists].all()
 
@@ -98,7 +98,7 @@ def test_results_have_names_units_and_meanings(undisturbed: Path) -> None:
     assert found.payload.attrs["push"] == 1.0
     assert found.attrs["source"] == f"spm_pin {spm.__version__}"
     definition = json.loads(found.attrs["spm_pin_sweep"])
-    assert definition["geometry"]["middle_side"] == GEOMETRY.middle_side
+    assert definition["geometry"]["middle_side"] == MACHINE.middle_side
     assert {str(found[name].dtype) for name in ("reachable", "status", "branches")} == {"int8"}
     assert zarr.open_group(undisturbed, mode="r").metadata.zarr_format == 3
 
@@ -119,15 +119,15 @@ def test_values_not_computed_differ_from_absent_ones(undisturbed: Path, store: P
 
 def test_a_sample_of_leg_lengths_keeps_its_points(tmp_path: Path) -> None:
     domain = leg_sample(700, (1.1, 1.5), [1.2, (1.1, 1.5), 1.3], seed=4)
-    found = run_sweep(GEOMETRY, domain, ["o_x", "o_y", "o_z", "branches"], tmp_path / "a", workers=1, chunk=256).load()
+    found = run_sweep(MACHINE, domain, ["o_x", "o_y", "o_z", "branches"], tmp_path / "a", workers=1, chunk=256).load()
     assert dict(found.sizes) == {"sample": 700}
     legs = np.stack([np.broadcast_to(found[leg], 700) for leg in spm.machine.LEGS], axis=-1)
-    state = spm.forward_physical(GEOMETRY, legs)
+    state = spm.forward_physical(MACHINE, legs)
     np.testing.assert_array_equal(np.stack([found[f"o_{k}"] for k in "xyz"], axis=-1), state.translation)
     assert found.r_b1.attrs["units"] == "m"
     assert set(found.coords) == set(spm.machine.LEGS)
     poses = run_sweep(
-        GEOMETRY, pose_sample(50, (-1, 1), 0, 2, xyx=[0.1, (0.2, 0.5), 0]), ["branches"], tmp_path / "b", workers=1
+        MACHINE, pose_sample(50, (-1, 1), 0, 2, xyx=[0.1, (0.2, 0.5), 0]), ["branches"], tmp_path / "b", workers=1
     )
     assert {"x", "beta"} <= set(poses.coords)
 
@@ -140,7 +140,7 @@ def test_chunks_do_not_change_values(undisturbed: Path, tmp_path: Path) -> None:
 
 
 def test_a_lattice_of_leg_lengths_beyond_the_limits(tmp_path: Path) -> None:
-    found = run_sweep(GEOMETRY, leg_grid((1.0, 1.6, 3), (1.2, 1.4, 2)), "reachable", tmp_path / "map", workers=1).load()
+    found = run_sweep(MACHINE, leg_grid((1.0, 1.6, 3), (1.2, 1.4, 2)), "reachable", tmp_path / "map", workers=1).load()
     inside = (found.r_b1 == 1.3) & (found.r_b2 == 1.3) & (found.r_b3 == 1.3)
     assert ((found.reachable == 1) == inside).all()
 
@@ -250,7 +250,7 @@ def test_the_note_of_an_interrupt_says_what_is_complete(tmp_path: Path, undistur
 
 
 def test_a_sweep_of_a_machine_as_built_is_resumed_from_its_store(tmp_path: Path) -> None:
-    path, built = tmp_path / "map.zarr", GEOMETRY.perturbed(1, length=1e-3)
+    path, built = tmp_path / "map.zarr", MACHINE.perturbed(1, length=1e-3)
     small(path, machine=built)
     whole = contents(path)
     for record in records(path)[3:]:
@@ -263,13 +263,13 @@ def test_a_sweep_of_a_machine_as_built_is_resumed_from_its_store(tmp_path: Path)
 # What is refused
 
 OTHERS: dict[str, tuple[dict[str, Any], str]] = {
-    "machine": ({"machine": dataclasses.replace(GEOMETRY, base_radius=0.7)}, r"geometry.base_radius is 0.69.* 0.7 "),
+    "machine": ({"machine": dataclasses.replace(MACHINE, base_radius=0.7)}, r"geometry.base_radius is 0.69.* 0.7 "),
     "legs": (
-        {"machine": GEOMETRY.perturbed(1)},
+        {"machine": MACHINE.perturbed(1)},
         r"geometry.legs is null in the store and {\"r_b1\": {\"axis\": \[0.49.* … in this sweep",
     ),
     "limits": (
-        {"machine": dataclasses.replace(GEOMETRY, limits=spm.LegLimits(1.1, 1.45))},
+        {"machine": dataclasses.replace(MACHINE, limits=spm.LegLimits(1.1, 1.45))},
         r"geometry.leg_limits\[1\] is 1.5 in the store and 1.45 in this sweep",
     ),
     "grid": (
@@ -482,7 +482,7 @@ def test_memory_does_not_grow_with_the_number_of_points(tmp_path: Path) -> None:
         domain = leg_sample(4096 * chunks, (1.1, 1.5), 1.3)
         tracemalloc.start()
         try:
-            run_sweep(GEOMETRY, domain, ["o_x", "conditioning"], tmp_path / str(chunks), chunk=4096, workers=1).close()
+            run_sweep(MACHINE, domain, ["o_x", "conditioning"], tmp_path / str(chunks), chunk=4096, workers=1).close()
             return tracemalloc.get_traced_memory()[1]
         finally:
             tracemalloc.stop()
@@ -494,7 +494,7 @@ def test_memory_does_not_grow_with_the_number_of_points(tmp_path: Path) -> None:
 
 
 def test_a_plan_is_made_again_from_its_definition() -> None:
-    nominal = dataclasses.replace(GEOMETRY, limits=spm.LegLimits(0.0, [1.5] * 5 + [math.inf]))
+    nominal = dataclasses.replace(MACHINE, limits=spm.LegLimits(0.0, [1.5] * 5 + [math.inf]))
     sample = leg_sample(100, (1.1, 1.5), [1.2, (1.1, 1.3), 1.4], seed=3)
     for machine, domain in ((nominal, GRID), (nominal.perturbed(1), sample)):
         plan = SweepPlan.make(machine, domain, (payload(push=3.0),), CHUNK)

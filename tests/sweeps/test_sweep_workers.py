@@ -41,7 +41,7 @@ EVERYTHING = tuple(name for name in METRICS if name != "assembly_modes")
 def run_long(path: Path, workers: int, slices: int = 60, chunk: int = 2000, **options: Any) -> Any:
     """Run a sweep of `slices` chunks with many metrics."""
     domain = pose_grid((0.3, 0.5, slices), (-0.2, -0.1, 20), (2.4, 2.6, 20), xyx=[0.01, (0.28, 0.36, 5), 0.1])
-    return run_sweep(stores.GEOMETRY, domain, EVERYTHING, path, workers=workers, chunk=chunk, **options)
+    return run_sweep(stores.MACHINE, domain, EVERYTHING, path, workers=workers, chunk=chunk, **options)
 
 
 def local_cluster(count: int) -> LocalCluster:
@@ -230,7 +230,7 @@ def test_a_scheduler_that_is_not_there(address: str, tmp_path: Path, monkeypatch
 
 
 def test_a_worker_of_another_version_or_elsewhere_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    plan = runner.SweepPlan.make(stores.GEOMETRY, stores.GRID, (METRICS["reachable"],), 100)
+    plan = runner.SweepPlan.make(stores.MACHINE, stores.GRID, (METRICS["reachable"],), 100)
     with pytest.raises(StoreError, match="need a file system in common"):
         runner.complete_chunk(plan, tmp_path / "nowhere.zarr", (0, 0, 0, 0))
     monkeypatch.setattr(spm, "__version__", "9.9")

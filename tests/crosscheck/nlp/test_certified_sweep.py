@@ -12,13 +12,13 @@ import spm_pin as spm
 from spm_pin.crosscheck import in_leg_space, nlp, on_all_rotations
 from spm_pin.machine import Status
 
-GEOMETRY = spm.Manipulator.paper()
+MACHINE = spm.Manipulator.paper()
 MISS_RATE = 1e-3
 
 
 def poses(inside: int, anywhere: int, seed: int) -> RigidTransform:
     rng = np.random.default_rng(seed)
-    parts = [in_leg_space(GEOMETRY, inside, rng), on_all_rotations(GEOMETRY, anywhere, rng)]
+    parts = [in_leg_space(MACHINE, inside, rng), on_all_rotations(MACHINE, anywhere, rng)]
     return RigidTransform.from_matrix(np.concatenate([part.as_matrix() for part in parts]))
 
 
@@ -27,12 +27,12 @@ def poses(inside: int, anywhere: int, seed: int) -> RigidTransform:
 )
 def test_no_branch_is_invented_and_few_are_missed(inside: int, anywhere: int, seed: int, searches: int) -> None:
     sample = poses(inside, anywhere, seed)
-    truth, closed = certified_counts(sample, GEOMETRY.middle_side), spm.inverse_displacement(GEOMETRY, sample)
+    truth, closed = certified_counts(sample, MACHINE.middle_side), spm.inverse_displacement(MACHINE, sample)
     assert {0, 8} <= set(truth)
     np.testing.assert_array_equal(closed.count, truth)
     missed, unreachable = 0, truth == 0
     for start in range(searches):
-        found = nlp.search(GEOMETRY, sample, seed=start)
+        found = nlp.search(MACHINE, sample, seed=start)
         assert not (found.solutions.exists & ~closed.exists).any(), "a branch is invented"
         difference = np.linalg.norm((found.solutions.middle_joints - closed.middle_joints).reshape(-1, 8, 9), axis=-1)
         assert np.nanmax(difference / found.error_bound) < 1.0
@@ -46,7 +46,7 @@ def test_no_branch_is_invented_and_few_are_missed(inside: int, anywhere: int, se
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [1e-4, 1e-3, 3e-3])
 def test_the_miss_rate_holds_for_machines_as_built(size: float) -> None:
-    built, sample = GEOMETRY.perturbed(5, length=size, angle=size), poses(160, 40, 3)
+    built, sample = MACHINE.perturbed(5, length=size, angle=size), poses(160, 40, 3)
     truth = spm.inverse_displacement(built, sample).count
     count = nlp.search(built, sample).solutions.count
     assert (count <= truth).all()
@@ -56,8 +56,8 @@ def test_the_miss_rate_holds_for_machines_as_built(size: float) -> None:
 @pytest.mark.slow
 def test_ipopt_misses_no_more_branches_than_newton_is_allowed() -> None:
     sample = poses(10, 5, 2)
-    truth = certified_counts(sample, GEOMETRY.middle_side)
-    found = nlp.search(GEOMETRY, sample, solver="ipopt").solutions
+    truth = certified_counts(sample, MACHINE.middle_side)
+    found = nlp.search(MACHINE, sample, solver="ipopt").solutions
     assert (found.count <= truth).all()
     assert np.count_nonzero(found.count < truth) <= binom.isf(1e-4, len(truth), MISS_RATE)
     np.testing.assert_array_equal(found.status[truth == 0], Status.UNREACHABLE)
