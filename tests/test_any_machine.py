@@ -83,5 +83,5 @@ def test_answers_are_those_of_the_machine(name: str) -> None:
 
 @pytest.mark.parametrize("name", REFUSED)
 def test_what_is_for_drawn_machines_alone_refuses_by_name(name: str) -> None:
-    with pytest.raises(spm.GeometryError, match="a calibrated one"):
+    with pytest.raises(spm.GeometryError, match="nominal machine"):
         REFUSED[name](PAPER.perturbed(5))

@@ -186,5 +186,6 @@ def prior_deviations(machine: Machine, tolerances: Mapping[str, float] | npt.Arr
         return deviations
     deviations = real_array(tolerances, "tolerances", (count,), "standard deviations of the parameters")
     if deviations.shape != (count,) or (deviations < 0.0).any():
-        raise ArgumentError("tolerances", f"{count} standard deviations, or a mapping of names to them", "others")
+        expected = f"{count} standard deviations, none negative, or a mapping of names to them"
+        raise ArgumentError("tolerances", expected, deviations)
     return deviations

@@ -549,7 +549,9 @@ def given_or_drawn(machine: Machine, states: Batched | int, argument: str, rng: 
     wanted = whole_number(states, argument, least=1)
     if machine.limits is None or not np.isfinite(machine.limits.maximum).all():
         cause = f"Give the limits to the {type(machine).__name__}, or the states to choose from"
-        raise ArgumentError("machine", "a machine with leg limits to draw states from", "none", cause)
+        raise ArgumentError(
+            "machine", "a machine with leg limits, from which states are drawn", "a machine without limits", cause
+        )
     return random_states(machine, wanted, generator(rng))
 
 

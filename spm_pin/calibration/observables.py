@@ -105,7 +105,7 @@ class Inclinations:
     def __post_init__(self) -> None:
         given = {name: x for name in ("roll", "pitch", "height") if (x := getattr(self, name)) is not None}
         if not given:
-            raise ArgumentError("roll", "roll and pitch in radians, heights in metres, or both", "neither")
+            raise ArgumentError("roll", "roll and pitch in radians, heights in metres, or both", None)
         for name, other in (("roll", "pitch"), ("pitch", "roll")):
             if name in given and other not in given:
                 raise ArgumentError(other, f"{other} in radians beside {name}", None)
@@ -117,7 +117,7 @@ class Inclinations:
                 raise ArgumentError(name, f"as many numbers as of {first}, {count}", f"{len(array)}")
             object.__setattr__(self, name, frozen(array))
         if (apart := np.isnan(self.roll) ^ np.isnan(self.pitch)).any():
-            raise ArgumentError("pitch", "roll and pitch, or NaN for both", f"one alone in row {apart.argmax()}")
+            raise ArgumentError("pitch", "roll and pitch, or NaN for both", f"only one of them in row {apart.argmax()}")
         if (empty := np.isnan(self.roll) & np.isnan(self.height)).any():
             raise ArgumentError(
                 "height", "roll and pitch, or a height, in every row", f"neither in row {empty.argmax()}"

@@ -108,7 +108,7 @@ def inverse_branch(branch: str, machine: Dimensions = None) -> ca.Function:
     symbolic, rotation, position = MachineInCasadi(machine), *_pose()
     if not symbolic.is_drawn:
         cause = "The eight roots of a calibrated machine have no closed form; inverse_physical takes it"
-        raise ArgumentError("machine", "a nominal machine", "a calibrated one", cause)
+        raise ArgumentError("machine", "a nominal machine", "a calibrated machine", cause)
     drawn, family = Drawn(symbolic, rotation, position), branch[:2]
     joints = drawn.branch(family, 1.0 if branch[2] == "+" else -1.0)
     state = StateInCasadi(symbolic, joints, rotation, position)

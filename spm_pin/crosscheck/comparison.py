@@ -293,7 +293,7 @@ class _Comparison:
     def __init__(self, machine: Manipulator, methods: Sequence[Method], describe_step: Callable[[str], None]) -> None:
         names = [method.name for method in methods]
         if len(set(names)) < len(names):
-            raise ArgumentError("methods", "a name of its own for each", names)
+            raise ArgumentError("methods", "methods with different names", names)
         self.poses = self.reached = self.states = 0
         self.scores = {method.name: MethodScore(method.name, method.miss_rate) for method in methods}
         self._differences: dict[tuple[Quantity, str, str], PairDifference] = {}

@@ -213,7 +213,7 @@ def workspace_shell(machine: Manipulator, limits: LegLimits | None = None, *, re
     check_rps(machine, "the paper's 24 surfaces")
     if not machine.is_nominal:
         cause = "The paper's 24 surfaces are those of machine.nominal, or the file without its legs"
-        raise GeometryError("machine", "a nominal machine", "a calibrated one", cause)
+        raise GeometryError("machine", "a nominal machine", "a calibrated machine", cause)
     if min(limits.minimum) == 0.0:
         raise ArgumentError("limits", "a positive minimum for every leg", f"{limits.minimum} m")
     n = whole_number(resolution, "resolution", "a whole number of increments, at least 2", least=2, most=FINEST)

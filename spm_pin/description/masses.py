@@ -102,10 +102,10 @@ class Masses:
 
     def __post_init__(self) -> None:
         if not isinstance(self.bodies, Mapping):
-            raise ArgumentError("bodies", "a mapping of names to masses", type(self.bodies).__name__)
+            raise ArgumentError("bodies", "a mapping of link names to masses", type(self.bodies).__name__)
         for name, body in self.bodies.items():
             if not isinstance(name, str):
-                raise ArgumentError("bodies", "names of links", repr(name))
+                raise ArgumentError("bodies", "names of links as keys", repr(name))
             _read_body(body, f"bodies[{name}]")
         if self.payload is not None:
             check_instance(self.payload, RigidBody, "payload")

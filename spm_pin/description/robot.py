@@ -158,7 +158,9 @@ class Robot:
             gaps = gaps_at(angles)
             if float(np.abs(gaps).max()) <= _CLOSED * scale:
                 return values | dict(zip(passive, angles.tolist(), strict=True))
-        raise DescriptionError("machine", "a machine whose loops close at its home", "loops that stay open")
+        raise DescriptionError(
+            "machine", "a machine that can be assembled at its home", "a machine whose loops do not close there"
+        )
 
 
 def read_robot(

@@ -50,7 +50,9 @@ def machine_of(states: Mapping[str, Configuration | StageConfiguration], machine
     machine = machine_or_paper(next(iter(machines), None) if machine is None else machine)
     for name, other in zip(states, machines, strict=True):
         if other != machine:
-            raise DescriptionError("states", "one machine in all states, the robot's", f"another one in {name}")
+            raise DescriptionError(
+                "states", "states of the robot's own machine", f"a state of another machine at {name}"
+            )
     return machine
 
 

@@ -146,9 +146,11 @@ def evaluate_designs(
             received = repr(machine) if isinstance(machine, Machine) else type(machine).__name__
             raise ArgumentError("machines", "machines with finite leg limits", f"{received} at index {index}")
         if type(machine) is not type(machines[0]):
-            raise ArgumentError("machines", "Manipulators alone, or Stages alone", f"both, at index {index}")
+            raise ArgumentError(
+                "machines", "machines of one class, all Manipulator or all Stage", f"another class at index {index}"
+            )
     if not machines:
-        raise ArgumentError("machines", "an iterable of at least one machine", "none")
+        raise ArgumentError("machines", "an iterable of at least one machine", "an empty one")
     chosen, sample = resolve_metrics(metrics), Sample(whole_number(states, "states", least=2, most=10**7), seed)
     whole_number(boxes, "boxes")
     check_workers(scheduler, workers)
@@ -504,7 +506,12 @@ def pareto_front(
         if generation < len(stored):
             if stored[generation]["values"] != values.tolist():
                 cause = "Written on another kind of computer?"
-                raise ArgumentError("store", "the choices of this search", f"others in generation {generation}", cause)
+                raise ArgumentError(
+                    "store",
+                    "a store of a search with the same choices",
+                    f"other choices in generation {generation}",
+                    cause,
+                )
             columns = {name: np.array(column, dtype=float) for name, column in stored[generation]["columns"].items()}
             return Designs(some, columns), exist
         designs = evaluate_designs(some, chosen, functions=own, scheduler=client, progress=lambda *_: None, **options)

@@ -89,7 +89,7 @@ class Task:
         normals = np.atleast_2d(normals_of_request(tilt, azimuth, roll, pitch, normal))
         shape = broadcastable("height", heights.shape, "the normals", normals.shape[:-1])
         if len(shape) != 1 or not shape[0]:
-            raise ArgumentError("height", "one or more tilts, shape (n,)", f"shape {shape}")
+            raise ArgumentError("height", "one or more states, shape (n,)", f"shape {shape}")
         self = cls.__new__(cls)
         requests = Tilts(np.broadcast_to(normals, (*shape, 3)), np.broadcast_to(heights, shape))
         for name, value in {"poses": requests, "wrench": wrench, "samples": shape[0]}.items():

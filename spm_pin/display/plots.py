@@ -254,7 +254,7 @@ def save_gallery(
     """
     path = file_path(path, suffixes=FORMATS)
     if not configurations:
-        raise ArgumentError("configurations", "at least one", "none", "Is no branch real?")
+        raise ArgumentError("configurations", "at least one solution that exists", "none", "Is no branch real?")
     count = len(configurations)
     columns = count if count <= 4 else math.ceil(count / 2)
     rows = math.ceil(count / columns)

@@ -312,7 +312,7 @@ def normals_of_request(
     ways["normal"] = normal is not None
     if sum(ways.values()) > 1:
         several = " and ".join(way for way, given in ways.items() if given)
-        raise ArgumentError(several, "one of tilt with azimuth, roll with pitch, and normal", "a mixture")
+        raise ArgumentError(several, "only one of: tilt and azimuth; roll and pitch; normal", "several of them")
     if ways["tilt"]:
         if tilt is None or azimuth is None:
             missing = "tilt" if tilt is None else "azimuth"
@@ -391,11 +391,13 @@ def _check_near(stage: Stage, near: Any) -> None:
         raise ArgumentError("near", f"a state of this stage, {stage!r}", repr(near.stage), "Is it of another one?")
     exists: BoolArray = near.exists & np.isfinite(near.readings).all(axis=-1)
     if not exists.all():
-        cause = near.missing_reason or "Is it no real solution? See .status and .exists"
-        raise ArgumentError("near", "a state that exists", f"NaN at index {first_offender(~exists)}", cause)
+        cause = near.missing_reason or "It is a branch without a real solution; see .status and .exists"
+        raise ArgumentError("near", "a state that exists", f"no state (NaN) at index {first_offender(~exists)}", cause)
     residual = float(near.closure_residual.max(initial=0.0))
     if residual > _UNIT * stage.platform_radius:
-        raise ArgumentError("near", "a state whose balls are in their legs' planes", f"a distance of {residual:.1e} m")
+        raise ArgumentError(
+            "near", "a state whose balls are in the planes of their legs", f"a ball {residual:.1e} m off its plane"
+        )
 
 
 def _why_unreachable(

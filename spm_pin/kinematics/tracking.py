@@ -147,7 +147,7 @@ def _start(solutions: Solutions[S], start: S | str | None) -> int:
     if not chosen.exists:
         reason = f"{chosen.missing_reason}. A solution that is not physical is named by its label"
         cause = reason if start is None else ""
-        raise ArgumentError("start", "a solution that exists where the path begins", "none", cause)
+        raise ArgumentError("start", "a solution that exists at the first point of the path", "NaN", cause)
     gap = np.abs(solutions.configurations.compared_points - chosen.compared_points).max(axis=(-1, -2))
     return int(np.where(solutions.exists, gap, np.inf).argmin())
 

@@ -204,7 +204,7 @@ class Batched(ABC):
 def stacked(states: Sequence[S]) -> S:
     """Return single states of one machine as a batch."""
     if not states:
-        raise ArgumentError("states", "states of one machine, one at least", "none")
+        raise ArgumentError("states", "at least one state", "an empty list")
     first = states[0]
     solved = [state._known for state in states if state._known is not None]
     arrays = map(np.stack, zip(*(state._arrays for state in states), strict=True))

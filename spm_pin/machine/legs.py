@@ -267,7 +267,7 @@ class Legs:
             longest = triangle_sides(b).max()
             if longest < SMALLEST or np.linalg.norm(np.cross(b[1] - b[0], b[2] - b[0])) < _FLAT * longest**2:
                 expected = "three ball centres of each stage that form a triangle"
-                raise ArgumentError("balls", expected, f"balls of the {stage} legs on one line")
+                raise ArgumentError("balls", expected, f"the balls of the {stage} legs on one line")
             if all(np.cross(x[1] - x[0], x[2] - x[0])[2] < 0.0 for x in (b, p)):
                 expected = f"{stage} legs 1, 2, 3 counterclockwise about z, nominally at -30, 90, 210 degrees"
                 cause = "List the legs in the opposite order, in axes, pivots, balls, offsets and numbers of the kind"
@@ -440,9 +440,7 @@ class Legs:
             return self.from_parameters(parameters)
         except GeometryError as error:
             cause = f"No machine has such legs: {error}"
-            raise GeometryError(
-                "length", "errors that are small compared with the machine", f"{spread:g} m", cause
-            ) from error
+            raise GeometryError("length", "errors much smaller than the machine", f"{spread:g} m", cause) from error
 
     def deviations(self, drawn: Legs) -> tuple[FloatArray, ...]:
         """Return the difference of each leg from the nominal one: axis [rad], and pivot, ball and offset [m]."""

@@ -82,7 +82,7 @@ def limited_jerk(
     top = float(programme.feasible_scale([one, none, none]).min())
     if not 0.0 < top < np.inf:
         cause = "A force limit that only just holds the machine?"
-        raise ArgumentError("path", "a path that the limits let the machine go along", "no such motion", cause)
+        raise ArgumentError("path", "a path along which a motion within the limits exists", "no such motion", cause)
     pieces = int(np.clip(len(grid.tau) // 10, 4, _PIECES))
     rough = _quickest(programme, grid, BSpline([0.0, 0.0, 1.0, 1.0], [0.9 * top] * 2, 1), top, pieces // 2)
     fine = _quickest(programme, grid, rough, top, pieces)

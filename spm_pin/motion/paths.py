@@ -68,7 +68,9 @@ class LegPath:
         distances = np.linalg.norm(np.diff(points, axis=0), axis=-1)
         if (distances == 0.0).any():
             row = int(distances.argmin())
-            raise ArgumentError("lengths", "rows that differ", f"rows {row} and {row + 1} equal", "No motion there?")
+            raise ArgumentError(
+                "lengths", "consecutive rows that differ", f"rows {row} and {row + 1} equal", "Drop rows without motion"
+            )
         self._points = points
         self._knots = np.concatenate([[0.0], np.cumsum(distances) / distances.sum()])
         self._knots[-1] = 1.0
@@ -161,7 +163,9 @@ def path_dynamics(chain: ClosedChain, path: MotionPath, parameters: FloatArray) 
     if not states.exists.all():
         bad = parameters[int((~states.exists).argmax())]
         expected = "a path that the machine can go along in its physical mode"
-        raise ArgumentError("path", expected, f"no such state at parameter {bad:.6g}", "Level, or out of reach?")
+        raise ArgumentError(
+            "path", expected, f"no state at parameter {bad:.6g}", "Is the pose there level or out of reach?"
+        )
     if isinstance(path, LegPath):
         _, rates, changes = path(parameters)
     else:
@@ -249,7 +253,9 @@ class MotionLimits:
             self.leg_forces = leg_bounds(leg_forces, "leg_forces", meaning, most=_LARGEST, count=count)
         elif leg_accelerations is None:
             cause = "Without them the motion would start with a jump"
-            raise ArgumentError("leg_forces, leg_accelerations", "limits of one of them", "neither", cause)
+            raise ArgumentError(
+                "leg_forces, leg_accelerations", "at least one of the two limits", "None for both", cause
+            )
         self.twist = None if twist is None else _speeds(twist)
 
     def rows(self, chain: ClosedChain, along: PathDynamics) -> LimitRows:

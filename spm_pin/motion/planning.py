@@ -91,7 +91,7 @@ class MotionPlan:
         """Return states along the path, shape (samples,), evenly spaced in its parameter."""
         count = whole_number(samples, "samples", "at least two samples", least=2, most=10**8)
         if self.path is None:
-            raise ArgumentError("plan", "a plan with a path", "one without", self.reason)
+            raise ArgumentError("plan", "a plan with a path", "a plan that failed", self.reason)
         return states_along(self.machine, self.path, np.linspace(0.0, 1.0, count))
 
 
@@ -160,17 +160,17 @@ def plan(
     if certificate is not None:
         check_instance(certificate, Certificate, "certificate")
         if not certificate.concerns(machine):
-            raise ArgumentError("certificate", "a certificate of `machine`", "one of another machine")
+            raise ArgumentError("certificate", "a certificate of `machine`", "a certificate of another machine")
     if not isinstance(via, Sequence | np.ndarray) or isinstance(via, str | bytes):
         raise ArgumentError("via", "a sequence of states to pass", type_and_value(via))
     names = ["start", *(f"via[{k}]" for k in range(len(via))), "goal"]
     states = [_state(machine, place, name) for place, name in zip([start, *via, goal], names, strict=True)]
     for state, name in zip(states, names, strict=True):
         if broken := rules.explain(state):
-            raise UnreachableError(name, "a state that keeps the rules of the plan", broken)
+            raise UnreachableError(name, "a state that the plan may pass", broken)
     for (before, first), (name, state) in pairwise(zip(names, states, strict=True)):
         if np.linalg.norm(state.readings - first.readings) <= 1e-12 * machine.ball_side:
-            raise ArgumentError(name, f"another state than {before}", "the same state")
+            raise ArgumentError(name, f"a state different from {before}", "the same state")
     if line == "poses":
         return _along_poses(rules, states, certificate)
     places = [state.readings for state in states]
@@ -201,7 +201,7 @@ def _state(machine: AnyMachine, place: Place, name: str) -> State:
         apart = np.abs(physical.balls - place.balls).max() if physical.exists else np.inf
         if not apart <= 1e-6 * machine.ball_side:
             cause = "Another branch or assembly mode: .physical() chooses the one a machine is in"
-            raise ArgumentError(name, "a configuration in the physical mode", "one in another mode", cause)
+            raise ArgumentError(name, "a configuration in the physical mode", "a configuration in another mode", cause)
         return physical
     array = as_array(place)
     if array is not None and array.shape == (count,):
@@ -223,7 +223,7 @@ def _state(machine: AnyMachine, place: Place, name: str) -> State:
         raise ArgumentError(name, "one state", f"a batch of shape {state.shape}")
     if not state.exists:
         cause = _sentence(state.missing_reason) or "Level poses are singular for the inverse: give leg lengths instead"
-        raise UnreachableError(name, "a pose with a physical branch", "one without", cause)
+        raise UnreachableError(name, "a pose with a physical branch", "a pose without one", cause)
     return state
 
 

@@ -68,7 +68,9 @@ class TimedMotion(JointTrajectory):
             outside = at[-1] if at[-1] > self.times[-1] else at[0]
             raise ArgumentError("times", f"times from 0 to {self.times[-1]:g} s", f"{outside:g}")
         if self.evaluate is None:
-            raise ArgumentError("times", "a motion as time_optimal returned it", "a copy from a file", "Plan it again")
+            raise ArgumentError(
+                "times", "a motion returned by time_optimal", "a motion read from a file", "Plan it again"
+            )
         joints, readings, poses = self.evaluate(at)
         return JointTrajectory(self.joint_names, at, *joints, readings, poses, self.actuated, self.units, self.legs)
 
@@ -198,12 +200,14 @@ def _path(path: Any, chain: ClosedChain) -> MotionPath:
     if isinstance(path, MotionPlan):
         check_same_machine(path.machine, chain.machine, "path", "the chain")
         if path.path is None:
-            raise ArgumentError("path", "a plan with a path", "one without", path.reason)
+            raise ArgumentError("path", "a plan with a path", "a plan that failed", path.reason)
         return path.path
     if not isinstance(path, LegPath | PlatformPath):
         raise ArgumentError("path", "a MotionPlan, LegPath or PlatformPath", type(path).__name__)
     if isinstance(path, PlatformPath) and not np.any(path([path.start, path.end]).twist):
-        raise ArgumentError("path", "a path that moves at its ends", "a path at rest there", "Made with ease=True?")
+        raise ArgumentError(
+            "path", "a path with non-zero velocity at its ends", "a path at rest there", "Made with ease=True?"
+        )
     return path
 
 

@@ -126,7 +126,7 @@ class Certificate:
         """
         check_state(configuration)
         if not self.concerns(configuration.machine):
-            raise ArgumentError("configuration", "a state of the certificate's machine", "one of another")
+            raise ArgumentError("configuration", "a state of the certificate's machine", "a state of another machine")
         inside = self.limits.contains(configuration.readings)
         if not self.holds:
             return np.zeros_like(inside)
@@ -253,7 +253,9 @@ def certify(
         raise GeometryError("limits", "finite limits of every reading", received)
     middle = forward_physical(nominal, allowed.ends.mean(axis=0))
     if not middle.exists:
-        raise GeometryError("limits", "readings between them that can be assembled", "a middle that cannot be")
+        raise GeometryError(
+            "limits", "limits whose middle readings can be assembled", "limits whose middle cannot be assembled"
+        )
     starts = region_coordinates(middle)
     regions = stage_regions(nominal, allowed, errors)
     proofs = [prove_stage(region, start, most=boxes) for region, start in zip(regions, starts, strict=True)]

@@ -119,9 +119,11 @@ def certify_inverse(
     if forward is None:
         forward = certify(machine, limits, boxes=boxes)
     elif any(check_instance(forward, Certificate, "forward").errors):
-        raise ArgumentError("forward", "a certificate of one machine, without errors", "one of machines with errors")
+        raise ArgumentError(
+            "forward", "a certificate of the nominal machine alone", "a certificate with dimensional errors"
+        )
     elif forward.machine.dimensions != machine.dimensions or forward.limits != (limits or machine.limits):
-        raise ArgumentError("forward", "a certificate of `machine` and `limits`", "one of others")
+        raise ArgumentError("forward", "a certificate of the same machine and limits", "a certificate of others")
     limits = forward.limits
     stages = [
         _StageCells(region, proof) for region, proof in zip(stage_regions(machine, limits), forward.stages, strict=True)

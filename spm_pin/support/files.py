@@ -120,7 +120,7 @@ def read_yaml(path: str | Path) -> Any:
             text = opened.read(_LARGEST_FILE + 1)
         if len(text) > _LARGEST_FILE:
             raise ArgumentError(
-                "", f"a YAML file of at most {_LARGEST_FILE} characters", "a longer one", file=str(file)
+                "", f"a YAML file of at most {_LARGEST_FILE} characters", "a longer file", file=str(file)
             )
         return yaml.load(text.decode("utf-8"), _Loader)  # this loader constructs no objects
     except OSError as failed:

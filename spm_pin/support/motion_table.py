@@ -58,11 +58,13 @@ class MotionTable:
             raise ArgumentError("", "a heading of names separated by commas", self.names[0][:60], cause, *heading)
         twice = [name for name, count in Counter(self.names).items() if count > 1]
         if twice:
-            raise ArgumentError("", "a heading with each column once", f"twice {', '.join(twice[:3])}", "", *heading)
+            raise ArgumentError(
+                "", "a heading without repeated columns", f"repeated {', '.join(twice[:3])}", "", *heading
+            )
         for number, cells in self._rows:
             if len(cells) != len(self.names):
                 expected = f"{len(self.names)} values, one per column of the heading"
-                cause = "Are there decimal commas?" if len(cells) == 2 * len(self.names) else ""
+                cause = "Are decimal commas used?" if len(cells) == 2 * len(self.names) else ""
                 raise ArgumentError("", expected, len(cells), cause, str(self.path), number)
 
     def __len__(self) -> int:
@@ -87,7 +89,7 @@ class MotionTable:
         absent = [name for name in names if name not in self.names]
         if absent:
             expected = f"a heading with the columns {', '.join(names)}"
-            raise ArgumentError("", expected, f"one without {', '.join(absent)}", file=str(self.path), line=1)
+            raise ArgumentError("", expected, f"a heading without {', '.join(absent)}", file=str(self.path), line=1)
         self._taken.update(names)
         places = [self.names.index(name) for name in names]
         numbers = np.array([[_number(cells[place]) for place in places] for _, cells in self._rows])

@@ -312,7 +312,7 @@ def _domain(machine: type[Machine], space: Space, ranges: list[AxisRange], sampl
     named = zip(AXES[machine][space], ranges, strict=True)
     axes = tuple(Axis.from_range(name, values, sample is not None) for name, values in named)
     if all(axis.is_fixed for axis in axes):
-        raise ArgumentError(_ARGUMENTS[space], "at least one coordinate that varies", "fixed ones")
+        raise ArgumentError(_ARGUMENTS[space], "at least one coordinate with a range", "fixed coordinates only")
     return Domain(space, axes, sample)
 
 
@@ -324,7 +324,7 @@ def _angles(xyx: Sequence[AxisRange] | None, others: tuple[AxisRange, ...]) -> l
 def _refuse(others: tuple[AxisRange, ...], argument: str, expected: str) -> None:
     """Raise `ArgumentError` if ranges that belong in one list are given as separate arguments."""
     if others:
-        raise ArgumentError(argument, expected, f"{len(others)} more ranges one after another")
+        raise ArgumentError(argument, expected, f"{len(others)} separate ranges")
 
 
 def _leg_domain(lower: Any, upper: Any, others: tuple[AxisRange, ...], sample: Sample | None = None) -> Domain:

@@ -225,7 +225,9 @@ def metric(
 def unavailable(points: Points, **parameters: Any) -> npt.ArrayLike:
     """Refuse to compute a metric of which only the definition is known."""
     cause = "A metric of your own has to be given again, to `run_sweep`, with all the rest"
-    raise ArgumentError("metrics", f"metrics among {', '.join(METRICS)}", "one whose function is not known", cause)
+    raise ArgumentError(
+        "metrics", f"metrics among {', '.join(METRICS)}", "a metric whose function is not defined", cause
+    )
 
 
 def resolve_metrics(metrics: str | Metric | Iterable[str | Metric]) -> tuple[Metric, ...]:
@@ -275,13 +277,13 @@ def condition(
     """
     chosen, *others = resolve_metrics(metric)
     if others:
-        raise ArgumentError("metric", "one metric", f"{1 + len(others)} of them")
+        raise ArgumentError("metric", "one metric", f"{1 + len(others)} metrics")
     if least is None and most is None:
         raise ArgumentError("least, most", "at least one of the two", "none")
     low = -np.inf if least is None else real_number(least, "least", f"a bound in {chosen.unit}")
     high = np.inf if most is None else real_number(most, "most", f"a bound in {chosen.unit}")
     if not low <= high:
-        raise ArgumentError("least, most", "a least value that is not above the most", f"{low:g} and {high:g}")
+        raise ArgumentError("least, most", "least not above most", f"{low:g} and {high:g}")
     return partial(_is_within, chosen, low, high)
 
 
@@ -327,7 +329,7 @@ def _assembly_modes(points: Points) -> npt.ArrayLike:
 def _leg_margin(points: Points) -> npt.ArrayLike:
     """Return the margin of the worst leg, in the physical branch of a pose with the largest margin."""
     if points.machine.limits is None:
-        raise ArgumentError("machine", "one with leg limits, of which a margin can be left", "none")
+        raise ArgumentError("machine", "a machine with leg limits, for the margin", "a machine without limits")
     scale = points.machine.legs.largest_slopes
     if points.space == "legs":
         return np.where(points.assembled.exists, points.limits.margin(points.coordinates, scale), np.nan)

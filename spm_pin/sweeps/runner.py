@@ -201,7 +201,7 @@ def check_workers(scheduler: object, workers: object) -> None:
         whole_number(workers, "workers", "a positive number of processes", least=1)
         if scheduler is not None:
             cause = "The number of workers of a scheduler is set where it is started."
-            raise ArgumentError("workers", "None beside a scheduler", workers, cause)
+            raise ArgumentError("workers", "None if a scheduler is given", workers, cause)
     if scheduler is not None and not isinstance(scheduler, str):
         from distributed import Client
 

@@ -399,7 +399,7 @@ def orientation_workspace(
     """
     point = real_array(position, "position", (3,), "a position in metres").reshape(-1, 3)
     if len(point) != 1:
-        raise ArgumentError("position", "one position of shape (3,), in metres", f"{len(point)} of them")
+        raise ArgumentError("position", "one position of shape (3,), in metres", f"{len(point)} positions")
     count = whole_number(samples, "samples", least=2)
     states, rng = states_within(machine, limits), generator(rng)
     lower, region = states.draw_stages(0, count, rng)

@@ -394,7 +394,7 @@ def check_finite(machine: Machine, limits: LegLimits | None) -> LegLimits:
     for leg, ends in zip(machine.legs.names, zip(limits.minimum, limits.maximum, strict=True), strict=True):
         if not np.isfinite(ends).all():
             expected = "a finite minimum and maximum for every leg"
-            raise ArgumentError("limits", expected, f"infinity for {leg}", "The set has no end then")
+            raise ArgumentError("limits", expected, f"infinity for {leg}", "The reachable set is unbounded then")
     return limits
 
 
@@ -494,5 +494,7 @@ def sample_reachable(
             parts.append(coordinates[rng.uniform(size=number) * largest < density])
         kept = sum(len(part) for part in parts)
     else:
-        raise ArgumentError("limits", "limits within which states are not too rare to be drawn", f"{kept} of {count}")
+        raise ArgumentError(
+            "limits", "limits that enough random states are within", f"limits that {kept} of {count} are within"
+        )
     return states.states(np.concatenate(parts)[:count])

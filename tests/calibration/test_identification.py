@@ -338,7 +338,7 @@ def test_a_file_of_measurements_is_read_in_any_order_of_columns(tmp_path: Path) 
         (f"# {HEADING}\n{ROW}\n{ROW}", r"csv:2: .*The heading is a comment: remove its #"),
         (f"{HEADING.replace(',', ';')}\n{ROW.replace(',', ';')}", r"csv:1: .*Semicolons instead of commas\?"),
         (f"{HEADING}\n{ROW.replace('.', ',').replace('0,1', '0,1', 1)}", r"csv:2: expected 13 values"),
-        (f"{HEADING},x\n{ROW},1", r"csv:1: expected a heading with each column once, got twice x"),
+        (f"{HEADING},x\n{ROW},1", r"csv:1: expected a heading .*repeated x"),
     ],
 )
 def test_a_malformed_file_is_refused_with_line_and_column(tmp_path: Path, text: str, message: str) -> None:

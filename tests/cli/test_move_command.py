@@ -120,10 +120,10 @@ def test_states_are_passed_on_the_way_and_each_leg_has_its_limits() -> None:
         (ENDS[:-2], "is it 150 cm?"),
         ([*ENDS, "--limits", "110", "140"], "--from: expected a state that keeps the rules"),
         ([*ENDS, "--via", "130,140,120,130,130,155"], "--via[0]: expected a state that keeps"),
-        ([*ENDS, "--hip", "-1", "1"], "--from: expected a state that keeps the rules of the plan, got a passive joint"),
+        ([*ENDS, "--hip", "-1", "1"], "--from: expected a state that the plan may pass, got a passive joint"),
         (
             [*ENDS[:7], "--unit", "cm", "--to-translation", "0", "0", "900", "--to-rpy", "9", "9", "0"],
-            "error: --to-translation: expected a pose with a physical branch, got one without. None of the solutions",
+            "error: --to-translation: expected a pose with a physical branch, got a pose without one. None of the solutions",
         ),
     ],
 )

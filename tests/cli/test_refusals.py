@@ -88,7 +88,7 @@ REFUSED = [
     ("move --leg-force 1500", "--from: expected either readings, or a pose by --from-translation"),
     (f"move --from {START} --unit cm --leg-force 9", "--to: expected either readings"),
     (f"move --from {START} --to {START} --unit cm --leg-force 1500", "the same state"),
-    (f"move {ENDS} --leg-rate 0.5", "--leg-force, --leg-acceleration: expected limits of one of them, got neither"),
+    (f"move {ENDS} --leg-rate 0.5", "--leg-force, --leg-acceleration: expected at least one of the two limits"),
     (f"move {ENDS} --leg-force 5", "--leg-force: expected forces that hold the machine"),
     (f"move {ENDS} --leg-force fast", "--leg-force: expected a number, or six separated by commas"),
     (f"move {ENDS} --leg-force 1500 --out motion.txt", "--out: expected a file name ending in .csv"),

@@ -181,7 +181,7 @@ def test_two_methods_that_contradict_each_other_are_both_outliers() -> None:
     [
         (["pinocchio"], "one at least that solves the inverse displacement"),
         (["delphi"], "methods: expected names among closed-form"),
-        (["paper", "paper"], "a name of its own for each"),
+        (["paper", "paper"], "methods with different names"),
     ],
 )
 def test_bad_methods_are_refused(methods: list[str], words: str) -> None:

@@ -143,7 +143,7 @@ def test_a_payload_on_a_link_without_mass_is_all_of_its_mass() -> None:
 
 
 def test_an_unknown_link_is_refused() -> None:
-    with pytest.raises(spm.ArgumentError, match=r"bodies: expected names of links, got 1"):
+    with pytest.raises(spm.ArgumentError, match=r"bodies: expected names of links as keys, got 1"):
         Masses({1: {"mass": 1.0}})  # type: ignore[dict-item]
     with pytest.raises(DescriptionError, match=r"masses: expected names of links in the URDF, .* got 'legs'"):
         urdf_text(masses=Masses({"legs": {"mass": 1.0}}))

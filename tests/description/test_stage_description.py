@@ -316,7 +316,7 @@ def test_a_plate_of_its_own_and_what_no_ball_is() -> None:
     assert model.body("left_ball").inertia[0] == pytest.approx(0.4 * 0.1 * 0.03**2)
     with pytest.raises(ArgumentError, match="radius: expected a positive number of m"):
         Ball(radius=-1.0)
-    with pytest.raises(DescriptionError, match="a stage alone for a ball to roll on"):
+    with pytest.raises(DescriptionError, match="ball: expected None"):
         mjcf_text(ball=Ball())
     with pytest.raises(ArgumentError, match="ball"):
         mjcf_text(BALANCER, ball=0.02)  # type: ignore[arg-type]

@@ -398,7 +398,7 @@ def test_the_branch_is_followed_from_the_one_named():
         ),
         ("path.csv", csv("x, y, z, qx, qy, qz, qw", np.zeros((2, 7))), r"a quaternion of length 1, got length 0$"),
         ("path.csv", "r_b1, r_b2\n1, 2", "got one without r_b3, r_c1, r_c2, r_c3"),
-        ("path.csv", csv(R, LEGS[:1]), "two rows or more"),
+        ("path.csv", csv(R, LEGS[:1]), "at least two rows"),
         ("path.csv", csv(R, [[np.nan] * 6, [1.0] * 6]), "column r_b1 in .*csv:2: expected a finite number, got 'nan'"),
         ("path.csv", csv(f"{R}, time", LEGS, [0.0, 1.0, 1.0]), "column time in .*csv:4: expected increasing times"),
         ("path.csv", csv("x, y, z, qx, qy, qz, qw", np.ones((2, 7))), "a quaternion of length 1, got length 2"),

@@ -67,7 +67,7 @@ def read_recording(path: str | Path) -> Recording:
         expected = f"the columns {', '.join(LEGS)}; or {', '.join((*POSITION, *QUATERNION))}"
         raise ArgumentError(str(path), expected, "positions alone" if points is not None else "neither")
     if len(table) < 2:
-        raise ArgumentError(str(path), "two rows or more", "one")
+        raise ArgumentError(str(path), "at least two rows", "one row")
     times = table.times()
     if times is None:
         times = np.linspace(0.0, _SECONDS, len(table))
