@@ -118,8 +118,8 @@ def test_states_are_passed_on_the_way_and_each_leg_has_its_limits() -> None:
     [
         (ENDS[:-2], "150.0]. With these readings no configuration is reached"),
         (ENDS[:-2], "is it 150 cm?"),
-        ([*ENDS, "--limits", "110", "140"], "--from: expected a state that keeps the rules"),
-        ([*ENDS, "--via", "130,140,120,130,130,155"], "--via[0]: expected a state that keeps"),
+        ([*ENDS, "--limits", "110", "140"], "--from: expected a state that the plan may pass"),
+        ([*ENDS, "--via", "130,140,120,130,130,155"], "--via[0]: expected a state that the plan may pass"),
         ([*ENDS, "--hip", "-1", "1"], "--from: expected a state that the plan may pass, got a passive joint"),
         (
             [*ENDS[:7], "--unit", "cm", "--to-translation", "0", "0", "900", "--to-rpy", "9", "9", "0"],

@@ -115,7 +115,7 @@ REFUSED = [
     (f"sweep {STORE} --legs 1:2:5 --metric beauty", "--metric: expected a Metric, or names among reachable"),
     (f"sweep {STORE} --legs 1:2:5 --limits 2 1", "exchanged"),
     (f"sweep {STORE} --legs 1:2:5 --metric payload --leg-force -1", "--leg-force: expected a positive number"),
-    (f"sweep {STORE} --legs 1:2:5 --workers 2 --scheduler tcp://127.0.0.1:1", "beside a scheduler"),
+    (f"sweep {STORE} --legs 1:2:5 --workers 2 --scheduler tcp://127.0.0.1:1", "None if a scheduler"),
     # view
     ("view --path nope.csv", "error: --path: nope.csv: expected a readable CSV file in UTF-8, got No such file"),
     ("view --path path.md", "error: --path: expected a file name ending in .csv"),

@@ -277,7 +277,7 @@ def test_a_stage_that_does_not_stand_level_has_no_description() -> None:
 
 def test_states_of_another_stage_are_refused() -> None:
     _, states = stage_and_states("RRS")
-    with pytest.raises(DescriptionError, match="one machine in all states"):
+    with pytest.raises(DescriptionError, match="states"):
         mjcf_text(DRAWN["RPS"], states={"mine": states[0]})
     with pytest.raises(ArgumentError, match="a Manipulator or a Stage"):
         urdf_text("stage.yaml")  # type: ignore[arg-type]

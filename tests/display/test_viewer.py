@@ -397,7 +397,7 @@ def test_the_branch_is_followed_from_the_one_named():
             r"csv:1: .*names the columns.*The first line looks like numbers: is the heading missing\?",
         ),
         ("path.csv", csv("x, y, z, qx, qy, qz, qw", np.zeros((2, 7))), r"a quaternion of length 1, got length 0$"),
-        ("path.csv", "r_b1, r_b2\n1, 2", "got one without r_b3, r_c1, r_c2, r_c3"),
+        ("path.csv", "r_b1, r_b2\n1, 2", "got a heading without r_b3, r_c1, r_c2, r_c3"),
         ("path.csv", csv(R, LEGS[:1]), "at least two rows"),
         ("path.csv", csv(R, [[np.nan] * 6, [1.0] * 6]), "column r_b1 in .*csv:2: expected a finite number, got 'nan'"),
         ("path.csv", csv(f"{R}, time", LEGS, [0.0, 1.0, 1.0]), "column time in .*csv:4: expected increasing times"),
