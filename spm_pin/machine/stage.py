@@ -56,6 +56,7 @@ class Stage(Machine):
     -----
     Two stages on one triangle of balls are a `Manipulator`. `spm_pin.stages` has inverse and forward displacement,
     rates, forces, singularities and the reach. A stage whose platform hangs is described upside down, z downwards.
+    `spm_pin.multibody.read_stage` measures a stage in an MJCF, URDF or SDF file.
 
     Examples
     --------

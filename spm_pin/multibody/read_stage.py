@@ -28,6 +28,8 @@ _LEVEL = 0.05
 """Rise of a slide up to which its readings increase outwards instead of upwards."""
 _CLEAR = 0.1
 """Least difference of two singular values of the hinges' axes for which a normal to the axes is clear."""
+_UPRIGHT = 1e-3
+"""Sine of the angle between a hinge's axis and z of {B} up to which the leg's plane is level."""
 _FAR = 10.0
 """Limits of slides beyond this many times the size of the stage stand for none in files that must have limits."""
 _TURN_ROUNDING = 1e-6
@@ -227,7 +229,7 @@ def _frame(origin: FloatArray, x: FloatArray, z: FloatArray) -> RigidTransform:
 def _checked_pose(base: PoseLike) -> RigidTransform:
     pose = as_rigid_transform(base, "base")
     if pose.shape:
-        raise DescriptionError("base", "a single pose", f"shape {pose.shape}")
+        raise ArgumentError("base", "a single pose", f"shape {pose.shape}")
     return pose
 
 
@@ -245,6 +247,8 @@ def _outward(base: RigidTransform, legs: list[_Leg]) -> FloatArray:
     """Return the horizontal unit vectors of the legs' planes away from z, in {B}, as rows (3, 3)."""
     axes, ends = base.rotation.inv().apply([leg.axis for leg in legs]), [(leg.pivot, leg.ball) for leg in legs]
     outward = np.stack([-axes[:, 1], axes[:, 0], np.zeros(3)], axis=-1)
+    if (np.linalg.norm(outward, axis=-1) < _UPRIGHT).any():
+        raise DescriptionError("chain", "axes of hinges that lie across z of {B}", "one along z", "A planar mechanism?")
     points = base.inv().apply(np.reshape(ends, (6, 3))).reshape(3, 2, 3).sum(axis=1)
     outward *= np.sign((outward * points).sum(axis=-1))[:, None]
     return np.asarray(outward / np.linalg.norm(outward, axis=-1)[:, None])

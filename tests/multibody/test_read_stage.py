@@ -204,6 +204,7 @@ def test_a_base_that_is_given_keeps_its_axes() -> None:
         ("RPS", "skew slide", "perpendicular"),
         ("RPS", "bent slide", "straight away"),
         ("RRS", "skew knee", "parallel axes"),
+        ("RRS", "upright", "across z"),
         ("RRS", "driven knees", "an actuator of"),
         ("PRS", "motors missing", "an actuator of"),
         ("RRS", "coupled", "independently"),

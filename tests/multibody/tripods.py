@@ -107,6 +107,8 @@ class Tripod:
             # Each axis has any sense, and its joint is anywhere along it.
             axes = tangent[None] * rng.choice([-1.0, 1.0], size=(2, 1))
             places = np.array([pivot, knee]) + tangent * rng.uniform(-0.1, 0.1, size=(2, 1))
+            if change == "upright":
+                axes, tangent = np.array([up, up]), up
             if change == "skew knee":
                 axes[1] = axes[1] + 0.01 * up
             limits = "" if self.limits is None else _list(self.zeros[j] + np.array(self.limits))
