@@ -378,12 +378,16 @@ def _platform(chain: ClosedChain, q: FloatArray, tripod: Tripod) -> tuple[str, R
 
 
 def _simplest(stage: Stage, rounding: float) -> Stage:
-    """Return the nominal stage if the measured one is nominal to rounding."""
-    modes = getattr(stage.kind, "sign", 1)
-    numbers = np.abs(stage.kind.numbers - stage.nominal.kind.numbers) / min(stage.size, 1.0)
-    angles, *lengths = stage.legs.deviations(stage.nominal.legs)
-    worst = max(float(angles.max()), float(numbers.max(initial=0.0)), *(float(x.max()) / stage.size for x in lengths))
-    return stage.nominal if worst <= rounding and not isinstance(modes, tuple) else stage
+    """Return the stage with equal numbers in its legs, or the nominal one, if it is that to rounding."""
+    alike = stage.kind.nominal
+    if not alike.is_drawn or np.abs(stage.kind.numbers - alike.numbers).max(initial=0.0) > rounding * min(
+        stage.size, 1.0
+    ):
+        return stage
+    legs = Legs(*stage.legs.arrays, (alike,))
+    angles, *lengths = legs.deviations(stage.nominal.legs)
+    worst = max(float(angles.max()), *(float(x.max()) / stage.size for x in lengths))
+    return stage.nominal if worst <= rounding else replace(stage, legs=legs)
 
 
 def _check_home(found: MeasuredStage, legs: list[_Leg], pose: RigidTransform) -> None:
