@@ -83,6 +83,11 @@ def mounted() -> spm.multibody.MountedChain:
 
 
 @functools.cache
+def tripod() -> spm.loops.ClosedChain:
+    return spm.loops.ClosedChain.from_mjcf(spm.description.mjcf_text(STAGE))
+
+
+@functools.cache
 def linkage() -> spm.loops.ClosedChain:
     return spm.loops.ClosedChain.from_mjcf(ROBOTS / "four_bar.xml")
 
@@ -254,6 +259,9 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     **dict.fromkeys(("loops.ClosedChain.from_urdf.source", "loops.read_urdf.source"), lambda: URDF),
     **dict.fromkeys(("loops.ClosedChain.from_sdf.source", "loops.read_sdf.source"), lambda: URDF.with_suffix(".sdf")),
     **{f"loops.{name}.chain": lambda: linkage() for name in ("mjcf_text", "sdf_text", "urdf_texts")},
+    "read_stage.chain": lambda: tripod(),
+    "MeasuredStage.values.readings": lambda: [0.1, 0.2, 0.3],
+    "MeasuredStage.readings.values": lambda: [0.1, 0.2, 0.3],
     "loops.ClosedChain.from_description.description": lambda: spm.loops.read_mjcf(ROBOTS / "four_bar.xml"),
     **{
         f"loops.ClosedChain.{name}": lambda: closed()
@@ -313,6 +321,7 @@ INSTANCES: dict[str, Callable[[], Any]] = {
     "JointLimits": lambda: spm.workspace.JointLimits(hip=(-1.0, 1.0)),
     "LegLimits": lambda: spm.LegLimits(1.1, 1.5),
     "Masses": lambda: spm.description.Masses({"leg_*_rod": {"mass": 2.0}}),
+    "MeasuredStage": lambda: spm.multibody.read_stage(tripod()),
     "MountedChain": mounted,
     "PlatformPath": lambda: spm.PlatformPath([0.0, 1.0], PATH),
     "Polytope": lambda: spm.capability.wrench_polytope(STATE, 900.0),

@@ -26,7 +26,7 @@ from spm_pin.machine.machine_files import (
     read_limits,
     read_mapping,
 )
-from spm_pin.support.arguments import dimension, real_array, type_and_value
+from spm_pin.support.arguments import FloatArray, dimension, real_array, type_and_value
 
 _LENGTHS = RPS()
 _SAME_ANGLE = 1e-14
@@ -56,6 +56,7 @@ class Stage(Machine):
     -----
     Two stages on one triangle of balls are a `Manipulator`. `spm_pin.stages` has inverse and forward displacement,
     rates, forces, singularities and the reach. A stage whose platform hangs is described upside down, z downwards.
+    `spm_pin.multibody.read_stage` measures a stage in an MJCF, URDF or SDF file.
 
     Examples
     --------
@@ -98,7 +99,10 @@ class Stage(Machine):
             turns = np.mod(angles - AZIMUTHS + np.pi, 2.0 * np.pi) - np.pi
             # Directions that differ from the default by rounding only are nominal.
             if (np.abs(turns) > _SAME_ANGLE).any():
-                self._set_legs(self.legs.turned_about_z(turns))
+                try:
+                    self._set_legs(self.legs.turned_about_z(turns))
+                except GeometryError as error:
+                    raise _azimuths_error(angles) from error
         self._check_reach()
         object.__setattr__(self, "limits", None if limits is None else self._checked_limits(limits, are_own=True))
         if isinstance(legs, LegKind):
@@ -190,3 +194,14 @@ class Stage(Machine):
         if not self.is_nominal:
             data["as_built"] = legs_as_data(self.legs)
         return data
+
+
+def _azimuths_error(angles: FloatArray) -> GeometryError:
+    """Return the error for azimuths in a wrong order, or of legs that form no triangle."""
+    order = np.argsort(np.mod(angles, 2.0 * np.pi))
+    best = max((np.roll(order, k) for k in range(3)), key=lambda x: float(np.cos(angles[x] - AZIMUTHS).sum()))
+    expected = (
+        "three azimuths in radians, counterclockwise from the one nearest to -30 degrees on, of legs in a triangle"
+    )
+    cause = "" if (best == np.arange(3)).all() else f"In this order they are {np.array2string(angles[best])}"
+    return GeometryError("azimuths", expected, np.array2string(angles), cause)

@@ -6,6 +6,7 @@ from spm_pin.multibody.chain import ClosedChain
 from spm_pin.multibody.chain_state import ChainState, ConstrainedState, NaturalFrequencies, PlatformDynamics
 from spm_pin.multibody.constrained_model import SingularValues
 from spm_pin.multibody.mounting import MountedChain
+from spm_pin.multibody.read_stage import MeasuredStage, read_stage
 from spm_pin.multibody.simulation import Simulation, SimulationEnd
 from spm_pin.multibody.trajectory import JointTrajectory, PlatformMotion, PlatformPath
 
@@ -16,6 +17,7 @@ __all__ = [
     "ConstrainedState",
     "Energy",
     "JointTrajectory",
+    "MeasuredStage",
     "MountedChain",
     "NaturalFrequencies",
     "PlatformDynamics",
@@ -24,4 +26,5 @@ __all__ = [
     "Simulation",
     "SimulationEnd",
     "SingularValues",
+    "read_stage",
 ]

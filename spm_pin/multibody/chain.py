@@ -33,7 +33,7 @@ from spm_pin.loops.closures import Closure as LoopClosure
 from spm_pin.machine.configuration import Configuration
 from spm_pin.machine.joint_angles import check_state, joint_angles, value_names
 from spm_pin.machine.legs import check_path_readings
-from spm_pin.machine.machine import check_machine
+from spm_pin.machine.machine import Machine, check_machine
 from spm_pin.machine.manipulator import Manipulator, check_rps, check_same_machine
 from spm_pin.machine.stage import Stage
 from spm_pin.machine.stage_configuration import StageConfiguration
@@ -107,6 +107,9 @@ class ClosedChain:
         and forces of motions are no better than they.
         """
         check_prefix(prefix)
+        if isinstance(path, Machine):
+            cause = "A machine is the second argument: from_urdf(machine=...)"
+            raise ArgumentError("path", "the name of a file", type(path).__name__, cause)
         machine = Manipulator.paper() if machine is None else check_machine(machine)
         is_shipped = machine == Manipulator.paper() and prefix == ""
         shipped = description_file(URDF)

@@ -97,6 +97,18 @@ def test_azimuths_that_are_degrees_or_stand_beside_legs_are_refused() -> None:
         assert error.value.argument == "azimuths"
 
 
+@pytest.mark.parametrize(
+    ("azimuths", "accepted"),
+    [([0.0, -2.0, -4.0], "[ 0. -4. -2.]"), ([2.0, 4.1, 6.2], "[6.2 2.  4.1]"), ([0.0, 0.0, 0.0], "")],
+)
+def test_azimuths_in_another_order_are_named_in_theirs(azimuths: list[float], accepted: str) -> None:
+    with pytest.raises(spm.GeometryError) as error:
+        spm.Stage(0.7, 0.46, azimuths=azimuths)
+    assert error.value.argument == "azimuths"
+    assert accepted in error.value.cause
+    assert bool(accepted) == bool(error.value.cause)
+
+
 def test_offsets_of_cranks_are_angles_in_the_text() -> None:
     stage = next(x for x in STAGES.values() if x.unit == "rad")
     legs = stage.legs

@@ -167,3 +167,11 @@ def test_shapes_and_the_wrapper() -> None:
     assert not pinocchio.computeCollisions(
         robot.model, data, robot.collision_model, results, pinocchio.neutral(robot.model), False
     )
+
+
+def test_a_machine_in_place_of_a_file_is_sent_to_its_argument() -> None:
+    for machine in (spm.Manipulator.paper(), spm.Stage(0.7, 0.46)):
+        with pytest.raises(spm.ArgumentError) as error:
+            ClosedChain.from_urdf(machine)  # type: ignore[arg-type]
+        assert error.value.argument == "path"
+        assert "machine=" in error.value.cause
