@@ -59,7 +59,7 @@ BUILT = PAPER.perturbed(5)
 MEASURED = spm.forward_physical(PAPER, np.random.default_rng(0).uniform(1.15, 1.45, (16, 6)))
 STATE = spm.forward_physical(PAPER, [1.25, 1.15, 1.40, 1.30, 1.20, 1.40])
 STAGE = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11)).perturbed(3)
-STAGE_STATE = spm.stages.forward_physical(STAGE, [0.2, 0.4, 0.6])
+STAGE_STATE = spm.forward_physical(STAGE, [0.2, 0.4, 0.6])
 
 
 ROBOTS = Path(__file__).parents[1] / "examples/robots"
@@ -318,7 +318,7 @@ INSTANCES: dict[str, Callable[[], Any]] = {
     "Polytope": lambda: spm.capability.wrench_polytope(STATE, 900.0),
     "Shell": shell,
     "Stage": lambda: STAGE,
-    "StageSolutions": lambda: spm.stages.inverse(STAGE, 0.12),
+    "StageSolutions": lambda: spm.inverse_displacement(STAGE, 0.12),
     "SolutionSet": lambda: spm.inverse_displacement(PAPER, STATE.pose),
 }
 """Objects whose methods are called."""

@@ -20,7 +20,7 @@ OF_MANIPULATORS = "branch", "det_upper", "det_structure"
 def limited(machine: str) -> tuple[spm.Stage, float]:
     """Return a stage with limits that some of its tilts keep, and a height at which it stands."""
     stage, height = stage_and_height(machine)
-    level = spm.stages.inverse_physical(stage, height).readings
+    level = spm.inverse_physical(stage, height).readings
     room = 0.4 if stage.unit == "rad" else 0.1 * stage.size
     return dataclasses.replace(stage, limits=spm.machine.StageLimits(level - room, level + room)), height
 
@@ -44,14 +44,14 @@ def test_metrics_of_stages_are_those_of_their_definitions(machine: str, space: S
     assert isinstance(stage, spm.Stage)
     if space == "tilt":
         heights, tilts, azimuths = points.coordinates.T
-        both = spm.stages.inverse(stage, heights, tilt=tilts, azimuth=azimuths)
+        both = spm.inverse_displacement(stage, heights, tilt=tilts, azimuth=azimuths)
         states = both.physical()
         np.testing.assert_array_equal(METRICS["branches"].evaluate(points), both.count)
         np.testing.assert_array_equal(METRICS["branches_within"].evaluate(points), both.within().count)
     else:
-        states = spm.stages.forward_physical(stage, points.coordinates)
+        states = spm.forward_physical(stage, points.coordinates)
         found = METRICS["assembly_modes"].evaluate(points)[points.reachable]
-        modes = spm.stages.forward(stage, points.coordinates[points.reachable])
+        modes = spm.forward_displacement(stage, points.coordinates[points.reachable])
         np.testing.assert_array_equal(found, modes.count)
     reachable = states.exists & (states.limit_excess == 0.0).all(axis=-1)
     assert 0 < np.count_nonzero(reachable) < len(points)
@@ -105,7 +105,7 @@ def test_a_store_of_a_stage_is_written_read_and_continued(machine: str, tmp_path
     results = spm.sweeps.run_sweep(stage, grid, metrics, tmp_path / "tilts.zarr", workers=1, chunk=20)
     assert dict(results.sizes) == {"height": 4, "tilt": 3, "azimuth": 5}
     assert results.azimuth.attrs["units"] == "rad"
-    states = spm.stages.inverse_physical(
+    states = spm.inverse_physical(
         stage,
         results.height.values[:, None, None],
         tilt=results.tilt.values[:, None],
@@ -119,14 +119,14 @@ def test_a_store_of_a_stage_is_written_read_and_continued(machine: str, tmp_path
     sample = spm.sweeps.leg_sample(50, [*zip(low, high, strict=True)], seed=3)
     drawn = spm.sweeps.run_sweep(stage, sample, metrics, tmp_path / "legs.zarr", workers=1)
     readings = np.stack([drawn[leg].values for leg in ("r_1", "r_2", "r_3")], axis=-1)
-    tilts = spm.stages.forward_physical(stage, readings).tilt
+    tilts = spm.forward_physical(stage, readings).tilt
     np.testing.assert_allclose(drawn.platform_tilt.values, tilts)
     assert drawn.r_1.attrs["units"] == stage.unit
 
 
 def test_a_condition_on_states_of_a_stage_is_its_metric() -> None:
     stage, height = limited("RRS as built")
-    states = spm.stages.inverse_physical(stage, np.linspace(0.5, 1.3, 9) * height, tilt=0.2, azimuth=0.1)
+    states = spm.inverse_physical(stage, np.linspace(0.5, 1.3, 9) * height, tilt=0.2, azimuth=0.1)
     values = METRICS["payload_down"].evaluate(
         Points(dataclasses.replace(stage, limits=None), "legs", states.readings[states.exists])
     )

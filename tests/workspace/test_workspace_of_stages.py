@@ -17,18 +17,18 @@ BALANCER = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), limits=(-0.6, 1.
 @pytest.mark.parametrize("machine", ["RPS", "PRS as built", "RRS", "RRS as built"])
 def test_the_volume_is_that_of_the_heights_and_normals_reached(machine: str) -> None:
     stage, height = stage_and_height(machine)
-    level = spm.stages.inverse_physical(stage, height).readings
+    level = spm.inverse_physical(stage, height).readings
     room = 0.3 if stage.unit == "rad" else 0.06 * stage.size
     stage = dataclasses.replace(stage, limits=spm.machine.StageLimits(level - room, level + room))
     whole = pose_volume(stage, samples=4096, rng=0)
     upper = pose_volume(stage, where=lambda states: states.height > height, samples=4096, rng=0)
     corners = np.stack(np.meshgrid(*stage.reading_limits.T), axis=-1).reshape(-1, 3)
-    states = spm.stages.forward_physical(stage, corners)
+    states = spm.forward_physical(stage, corners)
     low, high, tilt = 0.9 * states.height.min(), 1.1 * states.height.max(), 1.3 * states.tilt.max()
     rng, count = np.random.default_rng(0), 200_000
     heights, cosines = rng.uniform(low, high, count), rng.uniform(np.cos(tilt), 1.0, count)
     azimuths = rng.uniform(-np.pi, np.pi, count)
-    reached = spm.stages.inverse_physical(stage, heights, tilt=np.arccos(cosines), azimuth=azimuths)
+    reached = spm.inverse_physical(stage, heights, tilt=np.arccos(cosines), azimuth=azimuths)
     counts = reached.exists & (reached.limit_excess == 0.0).all(axis=-1)
     box = (high - low) * 2.0 * np.pi * (1.0 - np.cos(tilt))
     for found, share in ((whole, np.mean(counts)), (upper, np.mean(counts & (heights > height)))):
@@ -74,25 +74,25 @@ def test_margins_of_passive_joints_are_those_of_angles_and_of_distances_between_
 def test_the_reach_ends_where_a_condition_does() -> None:
     joints = JointLimits(ball_y=(-0.25, 0.25))
 
-    def where(states: spm.stages.StageConfiguration) -> np.ndarray:
+    def where(states: spm.machine.StageConfiguration) -> np.ndarray:
         return np.asarray(joints.angle_margin(states) >= 0.0)
 
-    free = spm.stages.reach(BALANCER, 0.12, directions=12)
-    found = spm.stages.reach(BALANCER, 0.12, directions=12, where=where)
+    free = spm.workspace.reach(BALANCER, 0.12, directions=12)
+    found = spm.workspace.reach(BALANCER, 0.12, directions=12, where=where)
     assert (found.tilts <= free.tilts).all()
     assert (found.tilts < free.tilts - 1e-3).any()
     shorter = found.tilts[0] < free.tilts[0] - 1e-9
     for beyond, counts in ((-1e-9, True), (1e-9, False)):
-        states = spm.stages.inverse_physical(BALANCER, 0.12, tilt=found.tilts[0] + beyond, azimuth=found.azimuths)
+        states = spm.inverse_physical(BALANCER, 0.12, tilt=found.tilts[0] + beyond, azimuth=found.azimuths)
         np.testing.assert_array_equal(where(states)[shorter], counts)
     with pytest.raises(spm.ArgumentError) as caught:
-        spm.stages.reach(BALANCER, 0.12, where=lambda states: states.tilt)
+        spm.workspace.reach(BALANCER, 0.12, where=lambda states: states.tilt)
     assert caught.value.argument == "where"
     payload = spm.sweeps.METRICS["payload_down"](push=0.25)
-    level = spm.stages.inverse_physical(BALANCER, 0.12).readings[None]
+    level = spm.inverse_physical(BALANCER, 0.12).readings[None]
     least = 0.97 * float(payload.evaluate(spm.sweeps.Points(BALANCER, "legs", level))[0])
-    held = spm.stages.reach(BALANCER, 0.12, directions=12, where=spm.sweeps.condition(payload, least=least))
-    ends = spm.stages.inverse_physical(BALANCER, 0.12, tilt=held.tilts[0], azimuth=held.azimuths)
+    held = spm.workspace.reach(BALANCER, 0.12, directions=12, where=spm.sweeps.condition(payload, least=least))
+    ends = spm.inverse_physical(BALANCER, 0.12, tilt=held.tilts[0], azimuth=held.azimuths)
     efforts = np.abs(spm.leg_forces(ends, [0, 0, -least, 0, 0, 0])).max(axis=-1)
     assert efforts.max() == pytest.approx(0.25, rel=1e-6)
     assert (held.tilts < free.tilts - 0.01).any()
@@ -104,7 +104,7 @@ def test_tilts_are_reachable_within_limits_of_legs_and_of_joints() -> None:
     joints = JointLimits(ball_y=(-0.3, 0.3))
     for stage in (BALANCER, BALANCER.perturbed(1, length=1e-3, angle=1e-2)):
         answer = spm.workspace.reachable(stage, heights, tilt=tilts, azimuth=azimuths, joints=joints)
-        states = spm.stages.inverse_physical(stage, heights, tilt=tilts, azimuth=azimuths)
+        states = spm.inverse_physical(stage, heights, tilt=tilts, azimuth=azimuths)
         bent = np.abs(spm.machine.joint_angles(states).ball_y).max(axis=-1)
         expected = states.exists & (states.limit_excess == 0.0).all(axis=-1) & (bent <= 0.3)
         assert 0 < np.count_nonzero(expected) < 40
