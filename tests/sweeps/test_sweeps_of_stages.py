@@ -135,6 +135,32 @@ def test_a_condition_on_states_of_a_stage_is_its_metric() -> None:
     np.testing.assert_array_equal(kept, values >= middle)
 
 
+def test_a_condition_on_a_state_is_not_that_of_another_with_its_readings() -> None:
+    modes = spm.forward_displacement(spm.Stage(0.7, 0.46), [1.2, 1.25, 1.4]).configurations
+    tilts = np.arccos(modes.normal[:, 2])
+    kept = spm.sweeps.condition("platform_tilt", least=0.5 * np.nanmax(tilts))(modes)
+    np.testing.assert_array_equal(kept, tilts >= 0.5 * np.nanmax(tilts))
+    assert 1 < np.count_nonzero(kept) < np.count_nonzero(modes.exists)
+
+
+def test_a_condition_on_the_margin_of_legs_is_that_of_the_machine_s_own_limits() -> None:
+    stage, height = limited("RPS")
+    states = spm.inverse_physical(stage, height, tilt=np.linspace(0.0, 0.5, 30), azimuth=0.3)
+    assert stage.limits is not None
+    margins = np.minimum(states.readings - stage.limits.minimum, stage.limits.maximum - states.readings).min(axis=-1)
+    kept = spm.sweeps.condition("leg_margin", least=0.02)(states)
+    np.testing.assert_array_equal(kept, margins >= 0.02)
+    assert 0 < np.count_nonzero(kept) < 30
+
+
+def test_chunks_are_numbered_without_a_list_of_them() -> None:
+    tilts = spm.sweeps.tilt_grid((0.1, 0.2, 10**6), (0.0, 0.2, 10**5), (0.0, 1.0, 10**5))
+    plan = SweepPlan.make(spm.Stage(0.08, 0.09), tilts, ["reachable"], chunk=10**6)
+    indices = iter(plan)
+    assert plan.count == 10**10
+    assert [next(indices) for _ in range(3)] == [(0, 0, 0), (0, 1, 0), (0, 2, 0)]
+
+
 def test_domains_of_the_other_machine_and_heights_in_another_unit_are_refused(tmp_path: Path) -> None:
     stage, _ = limited("RRS")
     paper = spm.Manipulator.paper()
