@@ -434,17 +434,17 @@ def _nearest_within(
         for target in targets:
             order = np.argsort(((places - target) ** 2).sum(axis=-1))
             ends.append(nearest_state(states, target, _unlike(pairs[order], _STARTS), joints))
-        return states.states(np.array(ends).reshape(-1, 2, 3))
+        return states.states(np.array(ends).reshape(-1, 2, 3))  # type: ignore[no-any-return]
     states, start = states_around(near, limits)
     result = nearest_states(states, targets, np.broadcast_to(start, (len(targets), 1, 2, 3)), joints)
     if states.aspects == (HOME_ASPECT, HOME_ASPECT):
-        return states.states(result.coordinates, result.readings)
+        return states.states(result.coordinates, result.readings)  # type: ignore[no-any-return]
     # Elsewhere the sign of a determinant does not distinguish aspects: the path from `near` does.
     followed = forward_physical(machine, result.readings, near=near)
     gap = np.abs(followed.middle_joints - states.states(result.coordinates).middle_joints).max(axis=(-1, -2))
     with np.errstate(invalid="ignore"):
         kept = gap <= _MODE_TOLERANCE * machine.middle_side
-    return states.states(np.where(kept[:, None, None], result.coordinates, start))
+    return states.states(np.where(kept[:, None, None], result.coordinates, start))  # type: ignore[no-any-return]
 
 
 def _unlike(states: FloatArray, count: int) -> FloatArray:

@@ -307,7 +307,8 @@ def _counts(state: StageConfiguration, where: Condition | None = None) -> BoolAr
     """Return which states are physical, within the limits, and satisfy a condition."""
     good = np.asarray(state.exists & (state.limit_excess == 0.0).all(axis=-1))
     if where is not None:
-        good[good] = check_condition(where, state[good])
+        batch, mask = state if state.shape else state.transformed(lambda array, _: array[None]), np.atleast_1d(good)
+        mask[mask] = check_condition(where, batch[mask])
     return good
 
 
