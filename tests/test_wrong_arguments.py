@@ -16,6 +16,8 @@ import pinocchio
 import pytest
 
 import spm_pin as spm
+from spm_pin.kinematics import stage_displacement
+from spm_pin.kinematics.stage_paths import follow
 
 
 class Foreign:
@@ -347,6 +349,10 @@ EITHER = (
 )
 """Functions that take a stage as well as a manipulator, and are called with both."""
 
+OF_STAGES = (stage_displacement.forward, stage_displacement.forward_physical, stage_displacement.inverse)
+OF_STAGES += (stage_displacement.inverse_physical, follow)
+"""What functions of either machine call for a stage, with its arguments."""
+
 
 def callables() -> Iterator[tuple[str, Callable[..., Any]]]:
     """Yield every public function, constructor of an input, and method of an instance, with its name."""
@@ -368,6 +374,7 @@ def callables() -> Iterator[tuple[str, Callable[..., Any]]]:
                             yield f"{owner}.{method}", getattr(member, method)
             seen.add(id(member))
     yield from ((f"one_stage.{function.__name__}", function) for function in EITHER)
+    yield from ((f"stages.{function.__name__}", function) for function in OF_STAGES)
 
 
 def parameters(function: Callable[..., Any]) -> dict[str, inspect.Parameter]:
