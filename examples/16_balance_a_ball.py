@@ -13,7 +13,7 @@ import numpy as np
 import spm_pin as spm
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
-env = gymnasium.make("spm_pin.stages.balancing:spm_pin/BallBalancer-v0", max_episode_steps=250)  # 5 s
+env = gymnasium.make("spm_pin.gym:spm_pin/BallBalancer-v0", max_episode_steps=250)  # 5 s
 balancer = env.unwrapped
 HEIGHT, STIFFNESS, DAMPING, STEEPEST = 0.12, 3.0, 1.0, 0.2  # [m], slope per m and per m/s, sine of the largest tilt
 SEEN = np.array([1e-3, 1e-3, 2e-2, 2e-2])  # standard deviations of what a camera sees [m, m/s]
@@ -24,7 +24,7 @@ def controller(ball):
     slope = -STIFFNESS * ball[:2] - DAMPING * ball[2:]
     slope *= min(1.0, STEEPEST / np.linalg.norm(slope))
     normal = [*slope, np.sqrt(1.0 - slope @ slope)]
-    return balancer.action(spm.stages.inverse_physical(balancer.stage, HEIGHT, normal=normal).readings)
+    return balancer.action(spm.inverse_physical(balancer.stage, HEIGHT, normal=normal).readings)
 
 
 seeds, paths = range(20), []

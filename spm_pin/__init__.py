@@ -1,6 +1,6 @@
 """Closed-chain kinematics of the 3RPS-3SPR serial-parallel manipulator and of its stages.
 
-A `Stage`, three planar legs under a platform, is a machine of its own, see `spm_pin.stages`; a `Manipulator` is two.
+A `Stage`, three planar legs under a platform, is a machine of its own; a `Manipulator` is two. Functions take either.
 The names of everyday use are here. All else is in public modules: `spm_pin.machine` (dimensions, states, sets of
 states), `spm_pin.kinematics` (branches, assembly modes, singularities, paths), `spm_pin.workspace`, `spm_pin.sweeps`,
 `spm_pin.capability`, `spm_pin.calibration`, `spm_pin.proofs`, `spm_pin.casadi`, `spm_pin.arrays` (JAX and others),
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from spm_pin import motion as motion
     from spm_pin import multibody as multibody
     from spm_pin import proofs as proofs
-    from spm_pin import stages as stages
     from spm_pin import sweeps as sweeps
     from spm_pin import workspace as workspace
     from spm_pin.errors import (
@@ -88,7 +87,7 @@ __all__ += ["plan", "set_threads", "threads", "time_optimal"]
 
 # All are imported on first use: the start-up of the command line stays short, and Ctrl-C ends it.
 _MODULES = {"calibration", "casadi", "crosscheck", "errors", "export", "kinematics", "machine", "motion", "multibody"}
-_MODULES |= {"arrays", "capability", "description", "design", "display", "loops", "proofs", "stages", "sweeps"}
+_MODULES |= {"arrays", "capability", "description", "design", "display", "loops", "proofs", "sweeps"}
 _MODULES |= {"workspace"}
 _HOMES = ("errors", "machine", "kinematics", "proofs", "multibody", "motion")
 

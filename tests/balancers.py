@@ -38,14 +38,14 @@ def requests(height: float, count: int, seed: int = 0) -> tuple[npt.NDArray[np.f
     return normals, height * rng.uniform(0.9, 1.1, count)
 
 
-def existing_states(stage: spm.Stage, height: float, count: int, seed: int = 0) -> spm.stages.StageConfiguration:
+def existing_states(stage: spm.Stage, height: float, count: int, seed: int = 0) -> spm.machine.StageConfiguration:
     """Return the physical states of `requests` that exist."""
     normals, heights = requests(height, count, seed)
-    states = spm.stages.inverse_physical(stage, heights, normal=normals)
+    states = spm.inverse_physical(stage, heights, normal=normals)
     return states[states.exists]
 
 
-def equilibrium(state: spm.stages.StageConfiguration) -> npt.NDArray[np.float64]:
+def equilibrium(state: spm.machine.StageConfiguration) -> npt.NDArray[np.float64]:
     """Return the wrenches (6, 6) at o of the forces along the legs, per unit effort, and across their planes."""
     legs, arms = state.stage.legs, state.balls - state.translation
     # The reading's change per move of the ball within its plane, by differences of the legs' own formula.

@@ -93,7 +93,7 @@ def test_readings_are_those_of_the_package(browser, kind: str, inside: bool) -> 
             assert stage.kind.sign == (1 if inside else -1)
             expected = np.deg2rad((INSIDE if inside else numbers)[4:])
             np.testing.assert_allclose([stage.limits.minimum[0], stage.limits.maximum[0]], expected)
-        held = spm.stages.inverse_physical(stage, 1e-3 * height, tilt=np.deg2rad(14.0), azimuth=np.deg2rad(33.0))
+        held = spm.inverse_physical(stage, 1e-3 * height, tilt=np.deg2rad(14.0), azimuth=np.deg2rad(33.0))
         cells = page.locator("#balancer td:nth-child(2)")
         exact = cells.evaluate_all("all => all.map((one) => Number(one.dataset.value))")
         np.testing.assert_allclose(exact, held.readings, rtol=0.0, atol=1e-12)
@@ -103,7 +103,7 @@ def test_readings_are_those_of_the_package(browser, kind: str, inside: bool) -> 
         check_copied_formula(page, stage, held)
 
 
-def check_copied_formula(page, stage: spm.Stage, held: spm.stages.StageConfiguration) -> None:
+def check_copied_formula(page, stage: spm.Stage, held: spm.machine.StageConfiguration) -> None:
     """Compare errors shown with those of balls at the plate's radius from a centre that stays."""
     outward, _ = stage.legs.planes
     down = -(held.normal[:2] * outward[:, :2]).sum(axis=-1)
@@ -115,7 +115,7 @@ def check_copied_formula(page, stage: spm.Stage, held: spm.stages.StageConfigura
     numbers = [float(x) for x in re.findall(r"[\d.]+(?= mm|°)", shown)]
     arms = balls - stage.legs.pivots
     places = np.stack([(arms * axis).sum(axis=-1) for axis in stage.legs.planes], axis=-1)
-    real = spm.stages.forward_physical(stage, stage.legs.readings(places, stage.crank_middles))
+    real = spm.forward_physical(stage, stage.legs.readings(places, stage.crank_middles))
     expected = [1e3 * off.max(), 1e3 * np.abs(side).max(), np.rad2deg(real.tilt), 1e3 * real.height]
     np.testing.assert_allclose(numbers, expected, rtol=0.0, atol=0.0051)
     labels = page.locator("#balancer .off").all_text_contents()
@@ -150,7 +150,7 @@ def test_a_crank_that_swings_through_straight_down_reads_on(browser) -> None:
         enter(page, "RRS", [50, 100, 40, 120, -115, 29], tilt=0.0, height=64.3)
         cells = page.locator("#balancer td:nth-child(2)")
         shown = cells.evaluate_all("all => all.map((one) => Number(one.dataset.value))")
-        held = spm.stages.inverse_physical(stage_in_python(page), 0.0643)
+        held = spm.inverse_physical(stage_in_python(page), 0.0643)
         np.testing.assert_allclose(shown, held.readings, rtol=0.0, atol=1e-12)
         assert max(shown) < -1.9
 
@@ -175,7 +175,7 @@ def test_a_drag_tilts_the_plate_towards_where_it_goes_and_stops_where_the_machin
         stage = stage_in_python(page)
         azimuth = np.deg2rad(float(page.locator("#balancer input[aria-label=azimuth]").input_value()))
         tilts = tilt + np.array([-1e-3, 0.02])
-        held = spm.stages.inverse_physical(stage, spm.stages.home_height(stage), tilt=tilts, azimuth=azimuth)
+        held = spm.inverse_physical(stage, spm.workspace.home_height(stage), tilt=tilts, azimuth=azimuth)
         assert held.exists[0]
         assert stage.limits.contains(held.readings).tolist() == [True, False]
         before = page.locator("#balancer .floor").first.get_attribute("d")

@@ -378,7 +378,7 @@ def test_pycapacity_is_given_the_same_polytopes() -> None:
 
 
 def test_scipy_finds_the_balls_of_the_balancer() -> None:
-    states = spm.stages.inverse_physical(_BALANCER, np.linspace(0.11, 0.13, 5), tilt=0.2, azimuth=0.3)
+    states = spm.inverse_physical(_BALANCER, np.linspace(0.11, 0.13, 5), tilt=0.2, azimuth=0.3)
     np.testing.assert_allclose(balls_by_scipy(states.readings), states.balls, atol=1e-10)
 
 

@@ -8,27 +8,27 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.stages import RealMachine, StageConfiguration
+from spm_pin.machine import RealMachine, StageConfiguration
 
 pytestmark = pytest.mark.documents
 
-MACHINES = spm.stages.gallery()
+MACHINES = spm.machine.gallery()
 STAGES = {f"{name} {k}": (stage, m.height) for name, m in MACHINES.items() for k, stage in enumerate(m.stages)}
 INCH = 0.0254
 
 
 def over_the_reach(stage: spm.Stage) -> StageConfiguration:
     """Return states of a stage at all heights, in all directions, to the end of what it reaches."""
-    reach = spm.stages.reach(stage, directions=24)
+    reach = spm.workspace.reach(stage, directions=24)
     tilts = reach.tilts[..., None] * np.linspace(0.0, 1.0, 12)
     heights, azimuths = reach.heights[:, None, None], reach.azimuths[:, None]
-    return spm.stages.inverse_physical(stage, heights, tilt=tilts, azimuth=azimuths)
+    return spm.inverse_physical(stage, heights, tilt=tilts, azimuth=azimuths)
 
 
 def states_of(name: str, tilt: float, count: int = 12) -> StageConfiguration:
     machine = MACHINES[name]
     azimuths = np.linspace(-np.pi, np.pi, count, endpoint=False)
-    return spm.stages.inverse_physical(machine.stage, machine.height, tilt=tilt, azimuth=azimuths)
+    return spm.inverse_physical(machine.stage, machine.height, tilt=tilt, azimuth=azimuths)
 
 
 def test_numbers_are_those_of_the_sources() -> None:
@@ -41,13 +41,13 @@ def test_numbers_are_those_of_the_sources() -> None:
     across, up = np.array([1.125, 4.25])
     long = np.hypot(across, up)
     elbow = np.arccos((long**2 + 1.75**2 - 3.669291339**2) / (2.0 * long * 1.75))
-    level = spm.stages.inverse_physical(first, 4.25 * INCH).readings
+    level = spm.inverse_physical(first, 4.25 * INCH).readings
     np.testing.assert_allclose(level, np.arctan2(up, across) - elbow, atol=1e-9)
     heliostat, robot = MACHINES["3-RPS heliostat"], MACHINES["3PRS robot"]
     # The prototype's actuators were 1.645, 1.653 and 1.650 m long there.
-    level = spm.stages.inverse_physical(heliostat.stage, 1.64).readings
+    level = spm.inverse_physical(heliostat.stage, 1.64).readings
     np.testing.assert_allclose(level, [1.645, 1.653, 1.650], atol=0.007)
-    np.testing.assert_allclose(spm.stages.inverse_physical(robot.stage, robot.height).readings, 0.4, atol=1e-15)
+    np.testing.assert_allclose(spm.inverse_physical(robot.stage, robot.height).readings, 0.4, atol=1e-15)
     assert spm.Manipulator.of_stages(*MACHINES["3RPS-3SPR"].stages) == spm.Manipulator.paper()
 
 
@@ -56,7 +56,7 @@ def test_a_neck_brace_has_its_legs_in_a_t() -> None:
     state = states_of("3PRS neck brace", 0.05)
     np.testing.assert_allclose(state.balls[:, 0::2, 1], 0.0, atol=1e-16)
     np.testing.assert_allclose(state.balls[:, 1, 0], 0.0, atol=1e-16)
-    level = spm.stages.inverse_physical(state.stage, 0.02).readings
+    level = spm.inverse_physical(state.stage, 0.02).readings
     # Roots b of b² - 2 b r + r² + z² = l².
     for slide, rod in zip(0.055 + level, [0.158, 0.17088, 0.158], strict=True):
         roots = np.roots([1.0, -2.0 * 0.055, 0.055**2 + 0.02**2 - rod**2])
@@ -73,12 +73,12 @@ def test_plates_are_rigid_over_the_whole_reach_and_readings_lead_back(name: str)
         np.linalg.norm(balls - np.roll(balls, -1, axis=-2), axis=-1) for balls in (states.balls, stage.legs.balls)
     )
     np.testing.assert_allclose(sides, np.broadcast_to(own, sides.shape), rtol=1e-12)
-    near = spm.stages.singularities(states)
+    near = spm.singularities(states)
     states = states[np.minimum(near.forward, near.leg.min(axis=-1)) > 1e-3]
-    again = spm.stages.forward_physical(stage, states.readings)
+    again = spm.forward_physical(stage, states.readings)
     assert again.exists.all()
     np.testing.assert_allclose(again.balls, states.balls, atol=1e-12 * stage.size)
-    assert spm.stages.inverse_physical(stage, height).exists
+    assert spm.inverse_physical(stage, height).exists
 
 
 @pytest.mark.parametrize("name", [name for name, (formula, _) in page.PROGRAMS.items() if formula])
@@ -93,7 +93,7 @@ def test_straight_lines_by_hand() -> None:
     """A plate that leans towards leg 1: its ball is at r (cos t, -sin t) from the centre, in the plane of the leg."""
     machine, t = MACHINES["3RRS-Balancing-Robot"], 0.2
     stage, radius = machine.stage, machine.stage.platform_radius
-    state = spm.stages.inverse_physical(stage, machine.height, tilt=t, azimuth=[np.radians(-30.0)])
+    state = spm.inverse_physical(stage, machine.height, tilt=t, azimuth=[np.radians(-30.0)])
     steep = np.hypot(np.cos(t), np.sin(t) / 2.0)
     x = radius * np.array([np.cos(t), np.cos(t) / steep, np.cos(t) / steep]) - stage.base_radius
     z = machine.height + radius * np.array([-np.sin(t), np.sin(t) / 2.0 / steep, np.sin(t) / 2.0 / steep])
@@ -113,7 +113,7 @@ def test_plates_about_a_centre_by_hand() -> None:
     """A leg at 0° in the programs' frames is leg 1, at -30° here; a pitch leans the plate towards it."""
     t = 0.15
     machine = MACHINES["3-RPS-Simulator"]
-    state = spm.stages.inverse_physical(machine.stage, machine.height, tilt=t, azimuth=[np.radians(-30.0)])
+    state = spm.inverse_physical(machine.stage, machine.height, tilt=t, azimuth=[np.radians(-30.0)])
     first = np.hypot(0.115 * np.cos(t) - 0.12, 0.125 - 0.115 * np.sin(t))
     ball, pivot = (
         np.array([-np.cos(t) / 2.0, np.sqrt(0.75), np.sin(t) / 2.0]) * 0.115 + [0.0, 0.0, 0.125],
@@ -122,7 +122,7 @@ def test_plates_about_a_centre_by_hand() -> None:
     second = np.linalg.norm(ball - pivot)
     np.testing.assert_allclose(page.about_the_centre(state)[0], [first, second, second], atol=1e-15)
     machine = MACHINES["3RRS-ball-ballancing-platform"]
-    state = spm.stages.inverse_physical(machine.stage, machine.height, tilt=t, azimuth=[np.radians(60.0)])
+    state = spm.inverse_physical(machine.stage, machine.height, tilt=t, azimuth=[np.radians(60.0)])
     places = np.stack([np.full(3, 0.075), 0.2 + 0.15 * np.sqrt(0.75) * np.sin(t) * np.array([0.0, -1.0, 1.0])], -1)
     readings = machine.stage.kind.readings(places, machine.stage.crank_middles)
     np.testing.assert_allclose(page.about_the_centre_by_x(state)[0], readings, atol=1e-14)
@@ -151,7 +151,7 @@ def test_an_error_is_that_of_a_plate_that_is_moved_by_hand() -> None:
     machine = MACHINES["3-RPS heliostat"]
 
     def higher(wanted: StageConfiguration) -> np.ndarray:
-        return spm.stages.inverse_physical(wanted.stage, wanted.height + 0.003, normal=wanted.normal).readings
+        return spm.inverse_physical(wanted.stage, wanted.height + 0.003, normal=wanted.normal).readings
 
     error = page.formula_error(machine, higher)
     assert error.ball == pytest.approx(0.003, rel=1e-9)
@@ -162,8 +162,8 @@ def test_an_error_is_that_of_a_plate_that_is_moved_by_hand() -> None:
 def test_the_nearest_singularity_ignores_limits() -> None:
     machine: RealMachine = MACHINES["3-SPR haptic device"]
     least, end = page.nearest_singularity(machine.stage, machine.height)
-    assert end is spm.stages.ReachEnd.FORWARD
-    assert least > spm.stages.reach(machine.stage, machine.height).all_round[0]
+    assert end is spm.workspace.ReachEnd.FORWARD
+    assert least > spm.workspace.reach(machine.stage, machine.height).all_round[0]
 
 
 @pytest.mark.slow

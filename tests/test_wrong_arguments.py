@@ -16,6 +16,8 @@ import pinocchio
 import pytest
 
 import spm_pin as spm
+from spm_pin.kinematics import stage_displacement
+from spm_pin.kinematics.stage_paths import follow
 
 
 class Foreign:
@@ -59,7 +61,7 @@ BUILT = PAPER.perturbed(5)
 MEASURED = spm.forward_physical(PAPER, np.random.default_rng(0).uniform(1.15, 1.45, (16, 6)))
 STATE = spm.forward_physical(PAPER, [1.25, 1.15, 1.40, 1.30, 1.20, 1.40])
 STAGE = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11)).perturbed(3)
-STAGE_STATE = spm.stages.forward_physical(STAGE, [0.2, 0.4, 0.6])
+STAGE_STATE = spm.forward_physical(STAGE, [0.2, 0.4, 0.6])
 
 
 ROBOTS = Path(__file__).parents[1] / "examples/robots"
@@ -327,7 +329,7 @@ INSTANCES: dict[str, Callable[[], Any]] = {
     "Polytope": lambda: spm.capability.wrench_polytope(STATE, 900.0),
     "Shell": shell,
     "Stage": lambda: STAGE,
-    "StageSolutions": lambda: spm.stages.inverse(STAGE, 0.12),
+    "StageSolutions": lambda: spm.inverse_displacement(STAGE, 0.12),
     "SolutionSet": lambda: spm.inverse_displacement(PAPER, STATE.pose),
 }
 """Objects whose methods are called."""
@@ -356,6 +358,10 @@ EITHER = (
 )
 """Functions that take a stage as well as a manipulator, and are called with both."""
 
+OF_STAGES = (stage_displacement.forward, stage_displacement.forward_physical, stage_displacement.inverse)
+OF_STAGES += (stage_displacement.inverse_physical, follow)
+"""What functions of either machine call for a stage, with its arguments."""
+
 
 def callables() -> Iterator[tuple[str, Callable[..., Any]]]:
     """Yield every public function, constructor of an input, and method of an instance, with its name."""
@@ -377,6 +383,7 @@ def callables() -> Iterator[tuple[str, Callable[..., Any]]]:
                             yield f"{owner}.{method}", getattr(member, method)
             seen.add(id(member))
     yield from ((f"one_stage.{function.__name__}", function) for function in EITHER)
+    yield from ((f"stages.{function.__name__}", function) for function in OF_STAGES)
 
 
 def parameters(function: Callable[..., Any]) -> dict[str, inspect.Parameter]:

@@ -22,7 +22,7 @@ pose = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88])
 _CALIBRATED = f"{_ROBOT}machine = machine.perturbed(0)\n"
 _STATE = "state = spm.forward_physical(machine, readings)\n"
 _STAGE = "import spm_pin as spm\nstage = spm.Stage(0.5, 0.3)\n"
-_STAGE_STATE = f"{_STAGE}state = spm.stages.inverse_physical(stage, 0.6, tilt=0.1, azimuth=0.0)\n"
+_STAGE_STATE = f"{_STAGE}state = spm.inverse_physical(stage, 0.6, tilt=0.1, azimuth=0.0)\n"
 _ANSWERS = {
     "`inverse_displacement`": "spm.inverse_displacement(machine, pose)",
     "`inverse_physical`": "spm.inverse_physical(machine, pose)",
@@ -34,11 +34,11 @@ _ANSWERS = {
     "`singularities`": f"{_STATE}spm.singularities(state)",
 }
 _STAGE_ANSWERS = {
-    "`stages.inverse`": f"{_STAGE}spm.stages.inverse(stage, 0.6, tilt=0.1, azimuth=0.0)",
-    "`stages.forward_physical`": f"{_STAGE_STATE}spm.stages.forward_physical(stage, state.readings)",
-    "`stages.forward`": f"{_STAGE_STATE}spm.stages.forward(stage, state.readings)",
-    "`stages.leg_forces`": f"{_STAGE_STATE}spm.stages.leg_forces(state, [0.0, 0.0, -1.0, 0.0, 0.0, 0.0])",
-    "`stages.singularities`": f"{_STAGE_STATE}spm.stages.singularities(state)",
+    "`stages.inverse`": f"{_STAGE}spm.inverse_displacement(stage, 0.6, tilt=0.1, azimuth=0.0)",
+    "`stages.forward_physical`": f"{_STAGE_STATE}spm.forward_physical(stage, state.readings)",
+    "`stages.forward`": f"{_STAGE_STATE}spm.forward_displacement(stage, state.readings)",
+    "`stages.leg_forces`": f"{_STAGE_STATE}spm.leg_forces(state, [0.0, 0.0, -1.0, 0.0, 0.0, 0.0])",
+    "`stages.singularities`": f"{_STAGE_STATE}spm.singularities(state)",
 }
 _RUN = "try:\n    main()\nexcept SystemExit as end:\n    assert end.code in (0, 5), end"  # 5: beyond the limits
 _COMMANDS = (

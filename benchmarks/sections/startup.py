@@ -42,7 +42,7 @@ def _single(section: Section, pace: Pace, progress: Progress, facts: Facts) -> N
     arrays = state.rotation, state.translation, state.middle_joints
     lengths, wrench = state.leg_lengths, np.ones(6)
     moved, stage = lengths + 1e-3, spm.Stage(0.5, 0.3)
-    stage_state = spm.stages.inverse_physical(stage, 0.6, tilt=0.1, azimuth=0.0)
+    stage_state = spm.inverse_physical(stage, 0.6, tilt=0.1, azimuth=0.0)
 
     def new() -> spm.Configuration:
         return spm.Configuration.from_arrays(MACHINE, *arrays)
@@ -59,9 +59,9 @@ def _single(section: Section, pace: Pace, progress: Progress, facts: Facts) -> N
         "`forward_physical`": lambda: spm.forward_physical(MACHINE, lengths),
         "`forward_physical`, near a state": lambda: spm.forward_physical(MACHINE, moved, near=state),
         "`forward_displacement`": lambda: spm.forward_displacement(MACHINE, lengths),
-        "`stages.inverse`": lambda: spm.stages.inverse(stage, 0.6, tilt=0.1, azimuth=0.0),
-        "`stages.forward_physical`": lambda: spm.stages.forward_physical(stage, stage_state.readings),
-        "`stages.forward`": lambda: spm.stages.forward(stage, stage_state.readings),
+        "`stages.inverse`": lambda: spm.inverse_displacement(stage, 0.6, tilt=0.1, azimuth=0.0),
+        "`stages.forward_physical`": lambda: spm.forward_physical(stage, stage_state.readings),
+        "`stages.forward`": lambda: spm.forward_displacement(stage, stage_state.readings),
     }
     timings = time_in_turns([TimedCall(name, call, 1) for name, call in calls.items()], pace, progress)
     first = timings[next(iter(calls))].spread

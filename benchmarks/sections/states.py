@@ -83,18 +83,18 @@ def _stages(section: Section, pace: Pace, progress: Progress, facts: Facts) -> N
     """Time the displacements of a ball balancer, a stage alone."""
     rng, few = np.random.default_rng(0), 50
     heights, tilts, azimuths = rng.uniform(0.11, 0.13, _MANY), rng.uniform(0.0, 0.3, _MANY), rng.uniform(-3, 3, _MANY)
-    states = spm.stages.inverse_physical(_BALANCER, heights, tilt=tilts, azimuth=azimuths)
+    states = spm.inverse_physical(_BALANCER, heights, tilt=tilts, azimuth=azimuths)
     normals, readings = states.normal.copy(), states.readings
     scipy = "forward, SciPy's `fsolve` on the three sides"
     calls = [
-        TimedCall("`inverse_physical`", lambda: spm.stages.inverse_physical(_BALANCER, heights, normal=normals), _MANY),
-        TimedCall("`inverse`, both modes", lambda: spm.stages.inverse(_BALANCER, heights, normal=normals), _MANY),
-        TimedCall("`forward_physical`", lambda: spm.stages.forward_physical(_BALANCER, readings), _MANY),
+        TimedCall("`inverse_physical`", lambda: spm.inverse_physical(_BALANCER, heights, normal=normals), _MANY),
+        TimedCall("`inverse`, both modes", lambda: spm.inverse_displacement(_BALANCER, heights, normal=normals), _MANY),
+        TimedCall("`forward_physical`", lambda: spm.forward_physical(_BALANCER, readings), _MANY),
         TimedCall(scipy, lambda: balls_by_scipy(readings[:few]), few),
     ]
     timings = time_in_turns(calls, pace, progress)
     rows = [[call.name, count(call.items), *spread_of_seconds(timings[call.name].spread)] for call in calls]
-    section.add("A stage alone, a 3-RRS ball balancer, per item of a batch, `spm_pin.stages`:")
+    section.add("A stage alone, a 3-RRS ball balancer, per item of a batch:")
     section.add(table(["", "items a call", "per item", "quartiles"], rows))
     facts["states/stage inverse"] = microseconds(timings["`inverse_physical`"].spread)
     facts["states/stage forward"] = microseconds(timings["`forward_physical`"].spread)

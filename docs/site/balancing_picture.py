@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 import spm_pin as spm
-from spm_pin.stages.balancing import BallBalancer
+from spm_pin.gym import BallBalancer
 
 SETTLING, PERIOD, RADIUS = 160, 80, 0.065  # steps of 20 ms until the ball is on the circle, and of a round; [m]
 EVERY = 2  # steps of a picture
@@ -54,7 +54,7 @@ def control(balancer: BallBalancer, observation: np.ndarray, angle: float) -> np
     slope = -7.0 / 5.0 / 9.81 * rate**2 * place - 4.0 * (observation[:2] - place) - 1.2 * (observation[2:4] - velocity)
     slope *= min(1.0, 0.2 / np.linalg.norm(slope))
     normal = [*slope, np.sqrt(1.0 - slope @ slope)]
-    return balancer.action(spm.stages.inverse_physical(balancer.stage, 0.12, normal=normal).readings)
+    return balancer.action(spm.inverse_physical(balancer.stage, 0.12, normal=normal).readings)
 
 
 def picture(balancer: BallBalancer, renderer: mujoco.Renderer) -> np.ndarray:

@@ -19,8 +19,8 @@ from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 from spm_pin.display import draw, stage_figure
-from spm_pin.machine import PRS, RRS
-from spm_pin.stages import ReachEnd, RealMachine, StageConfiguration, gallery
+from spm_pin.machine import PRS, RRS, RealMachine, StageConfiguration, gallery
+from spm_pin.workspace import ReachEnd
 
 PAGE = Path(__file__).parents[1] / "howto/gallery.md"
 MOST_TILT, SHARE = np.radians(20.0), 0.9
@@ -157,11 +157,11 @@ class FormulaError:
 def formula_error(machine: RealMachine, formula: Formula) -> FormulaError:
     """Compare where the readings of a program lead with what it was asked for, over tilts in every direction."""
     stage = machine.stage
-    reached = float(spm.stages.reach(stage, machine.height, directions=DIRECTIONS).all_round[0])
+    reached = float(spm.workspace.reach(stage, machine.height, directions=DIRECTIONS).all_round[0])
     most = min(MOST_TILT, SHARE * reached)
     tilt, azimuth = np.meshgrid(np.linspace(0.0, most, TILTS + 1), np.linspace(0.0, 2.0 * np.pi, DIRECTIONS + 1))
-    wanted = spm.stages.inverse_physical(stage, machine.height, tilt=tilt.ravel(), azimuth=azimuth.ravel())
-    actual = spm.stages.forward_physical(stage, formula(wanted))
+    wanted = spm.inverse_physical(stage, machine.height, tilt=tilt.ravel(), azimuth=azimuth.ravel())
+    actual = spm.forward_physical(stage, formula(wanted))
     assert actual.exists.all()
     ball = np.linalg.norm(actual.balls - wanted.balls, axis=-1).max()
     across, along = np.cross(actual.normal, wanted.normal), (actual.normal * wanted.normal).sum(axis=-1)
@@ -170,7 +170,7 @@ def formula_error(machine: RealMachine, formula: Formula) -> FormulaError:
 
 def nearest_singularity(stage: spm.Stage, height: float) -> tuple[float, ReachEnd]:
     """Return the least tilt at a height at which a stage without limits is singular [rad], and of which sort it is."""
-    found = spm.stages.reach(replace(stage, limits=None), height, directions=360)
+    found = spm.workspace.reach(replace(stage, limits=None), height, directions=360)
     k = int(found.tilts[0].argmin())
     return float(found.tilts[0, k]), ReachEnd(found.ends[0, k])
 
@@ -187,8 +187,8 @@ def tables() -> str:
     ]
     for name, machine in machines.items():
         for title, kind, stage in zip((name, ""), machine.architecture.split(" and "), machine.stages, strict=False):
-            low, high = spm.stages.height_range(stage)
-            tilt = np.degrees(spm.stages.reach(stage, machine.height).all_round[0])
+            low, high = spm.workspace.height_range(stage)
+            tilt = np.degrees(spm.workspace.reach(stage, machine.height).all_round[0])
             least, end = nearest_singularity(stage, machine.height)
             highest = "no end" if high > stage.size and stage.limits is None else f"{1e3 * high:.0f}"
             cells = [title, kind, _dimensions(stage), f"{1e3 * max(low, 0.0):.0f} … {highest}"]
@@ -237,8 +237,8 @@ def picture() -> Figure:
             machine = spm.Manipulator.of_stages(*entry.stages)
             draw(spm.forward_physical(machine, [1.2, 1.25, 1.3, 1.3, 1.25, 1.2]), ax=ax, labels=False)
         else:
-            tilt = min(np.radians(10.0), spm.stages.reach(entry.stage, entry.height).all_round[0] / 2.0)
-            alone = stage_figure(spm.stages.inverse_physical(entry.stage, entry.height, tilt=tilt, azimuth=0.5))
+            tilt = min(np.radians(10.0), spm.workspace.reach(entry.stage, entry.height).all_round[0] / 2.0)
+            alone = stage_figure(spm.inverse_physical(entry.stage, entry.height, tilt=tilt, azimuth=0.5))
             for text in list(alone.axes[0].texts):
                 text.remove()
             alone.savefig(drawn := BytesIO(), dpi=120)

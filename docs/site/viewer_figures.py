@@ -25,7 +25,7 @@ def main() -> None:
     state = spm.forward_physical(MACHINE, [1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
     with chromium() as browser:
         for name, (size, dark) in PICTURES.items():
-            tilted = spm.stages.inverse_physical(BALANCER, 0.12, tilt=np.radians(12), azimuth=np.radians(60))
+            tilted = spm.inverse_physical(BALANCER, 0.12, tilt=np.radians(12), azimuth=np.radians(60))
             with Viewer(tilted if name == "stage" else state, port=0, dark=dark) as viewer:
                 page = browser.new_page(viewport=size)
                 page.goto(f"{viewer.url}?fixedDpr=1")

@@ -54,7 +54,7 @@ def stage_inverse(stage: Stage, normal: Array, height: Array) -> StageState:
     Returns
     -------
     StageState
-        Mode T of `spm_pin.stages.inverse`; whether it is in the home assembly region is not tested.
+        Mode T of `spm_pin.inverse_displacement`; whether it is in the home assembly region is not tested.
     """
     machine = stage_machine(check_instance(stage, Stage, "stage"))
     library = library_of(normal=normal, height=height[..., None] if is_array_api_obj(height) else height)
@@ -93,13 +93,13 @@ def stage_forward(stage: Stage, readings: Array, near: StageState | None = None)
     Returns
     -------
     StageState
-        Without `near` that of `spm_pin.stages.forward_physical`, but for states that Newton's method from the level
+        Without `near` that of `spm_pin.forward_physical`, but for states that Newton's method from the level
         platform does not find.
 
     Notes
     -----
     Without `near` a state to which Newton's method from the level platform does not lead does not exist here, where
-    `spm_pin.stages.forward_physical` finds it among all modes. Of random states tilted by up to 75° that is for seven
+    `spm_pin.forward_physical` finds it among all modes. Of random states tilted by up to 75° that is for seven
     stages of usual proportions up to 6 in 100,000, and none below 50° but for slides that are level; for PRS and RRS
     stages of random proportions 0.3 to 6 in 100, and up to 6 in 1,000 of those below 30°. Give `near` there.
     """

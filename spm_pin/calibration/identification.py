@@ -225,7 +225,7 @@ def identify(
     >>> import numpy as np, spm_pin as spm
     >>> balancer = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), limits=(-0.6, 1.2))
     >>> plan = spm.calibration.choose_poses(balancer, 40, measured="inclinations", rng=0)
-    >>> seen = spm.stages.forward_physical(balancer.perturbed(1, length=2e-4, angle=2e-3), plan.readings)
+    >>> seen = spm.forward_physical(balancer.perturbed(1, length=2e-4, angle=2e-3), plan.readings)
     >>> shown = spm.calibration.Inclinations(seen.roll, seen.pitch, seen.height)
     >>> spm.calibration.identify(balancer, shown, plan.readings, parameters=["offset", "crank", "rod"]).status
     'fits'

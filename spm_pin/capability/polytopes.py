@@ -370,7 +370,7 @@ def acceleration_polytope(
     mass : array_like, shape (..., 6, 6); for a stage (..., 3, 3)
         Λ of ``chain.state(q, v).platform_dynamics()``, the mass of all bodies reflected at o, or of the platform alone:
         for a stage whose platform has the 6 x 6 matrix M at o it is Pᵀ M P, with P from
-        `spm_pin.stages.parasitic_jacobian`.
+        `spm_pin.kinematics.parasitic_jacobian`.
     load : array_like, shape (..., 6); for a stage (..., 3), optional
         The wrench onto the platform besides [N, N m]; with `dynamics` from that call, ``-dynamics.bias -
         dynamics.gravity`` for the robot's own velocity and weight. For a stage it is Pᵀ w of a wrench w.

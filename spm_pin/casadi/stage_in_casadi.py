@@ -67,7 +67,7 @@ def stage_forward(stage: Stage, *, near: bool = False) -> ca.Function:
     Notes
     -----
     Without `near` a state to which Newton's method from the level platform does not lead does not exist here, where
-    `spm_pin.stages.forward_physical` finds it among all modes. Of random states tilted by up to 75° that is for seven
+    `spm_pin.forward_physical` finds it among all modes. Of random states tilted by up to 75° that is for seven
     stages of usual proportions up to 6 in 100,000, and none below 50° but for slides that are level; for PRS and RRS
     stages of random proportions 0.3 to 6 in 100, and up to 6 in 1,000 of those below 30°. Give `near` there.
     """

@@ -21,13 +21,12 @@ from spm_pin.cli.stage_options import as_command_of_stage, takes_place, takes_st
 from spm_pin.display import reach_figure, save_figure, stage_figure
 from spm_pin.display.writing import FORMATS, fixed
 from spm_pin.errors import ArgumentError, require_extra
+from spm_pin.kinematics import forward_displacement, forward_physical, inverse_displacement, inverse_physical
 from spm_pin.machine import Stage, StageConfiguration, StageSolutions, Status
 from spm_pin.machine.stage_configuration import BELOW
 from spm_pin.proofs import certify as prove
-from spm_pin.stages import ReachEnd, best_height, forward_physical, height_range, inverse_physical, nearest_reachable
-from spm_pin.stages import forward as all_modes
-from spm_pin.stages import inverse as both_modes
-from spm_pin.stages import reach as largest_tilts
+from spm_pin.workspace import ReachEnd, best_height, height_range, nearest_reachable_pose
+from spm_pin.workspace import reach as largest_tilts
 
 Record = dict[str, Any]
 _BESIDE = 1e-3 * np.array([0.0, -1.0, 1.0, -2.0, 2.0])
@@ -45,11 +44,11 @@ def inverse(stage: Stage, place: Record, unit: options.Unit = LengthUnit.M, json
     If the tilt is out of reach, the nearest reachable tilt is printed. The exit code is 3 if neither mode is
     real, 5 if none is physical and within the limits.
     """
-    solutions = both_modes(stage, **place)
+    solutions = inverse_displacement(stage, **place)
     physical, nearest = solutions.physical(), None
     code = options.exit_code(solutions.status, physical)
     if code:
-        nearest = nearest_reachable(stage, **place)
+        nearest = nearest_reachable_pose(stage, **place).configuration
     records = _records(solutions, unit)
     if json:
         found = None if nearest is None or not nearest.exists else _record("nearest", nearest, unit)
@@ -100,7 +99,7 @@ def forward(
     own = typed.read("--readings", readings)
     physical = forward_physical(stage, own)
     if every:
-        solutions = all_modes(stage, own)
+        solutions = forward_displacement(stage, own)
         records, status, reason = _records(solutions, unit), solutions.status, solutions.configurations.missing_reason
     else:
         records = [_record("", physical, unit) | {"physical": True}] if physical.exists else []
@@ -310,11 +309,11 @@ def _height_hint(stage: Stage, place: Record, unit: LengthUnit) -> str:
 
 
 def _state(stage: Stage, place: Record, unit: LengthUnit) -> StageConfiguration:
-    solutions = both_modes(stage, **place)
+    solutions = inverse_displacement(stage, **place)
     state = solutions.physical()
     if not state.exists:
         cause = _height_hint(stage, place, unit) or solutions.configurations.missing_reason or _NOT_PHYSICAL
-        if (nearest := nearest_reachable(stage, **place)).exists:
+        if (nearest := nearest_reachable_pose(stage, **place).configuration).exists:
             cause += f". The nearest: {_options_of(nearest, place, unit)}"
         raise ArgumentError("--height, --tilt", "a height and a tilt that the stage reaches", "others", cause)
     return state

@@ -13,7 +13,7 @@ from spm_pin.cli import options, outputs
 from spm_pin.cli.options import LengthUnit, OptionTable, Readings, Triple
 from spm_pin.errors import ArgumentError, GeometryError
 from spm_pin.machine import PRS, RPS, RRS, LegKind, Stage
-from spm_pin.stages import home_height
+from spm_pin.workspace.stage_reach import home_height
 
 Typed = dict[str, Any]
 _STAGE: OptionTable = {

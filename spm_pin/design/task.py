@@ -81,7 +81,7 @@ class Task:
         Parameters
         ----------
         height, tilt, azimuth, roll, pitch, normal
-            As for `spm_pin.stages.inverse`.
+            As for `spm_pin.inverse_displacement`.
         wrench
             As for the class.
         """

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from spm_pin.kinematics import FollowedPath
     from spm_pin.multibody.trajectory import JointTrajectory
     from spm_pin.proofs import Certificate
-    from spm_pin.stages import StageReach
+    from spm_pin.workspace import StageReach
 
 # After Okabe and Ito's palette, distinct with any colour vision.
 _BLUE, _SKY, _GREEN, _VERMILION, _ORANGE, _PURPLE = "#0072b2", "#56b4e9", "#009e73", "#d55e00", "#e69f00", "#cc79a7"
@@ -83,7 +83,6 @@ def calibration_figure(calibration: Calibration[Any]) -> Figure:
 
 def path_figure(path: FollowedPath[Any]) -> Figure:
     """Draw the legs along a followed path, its distances to singularities, and its events as vertical lines."""
-    from spm_pin import stages
     from spm_pin.kinematics import EventKind, FollowedPath, singularities
 
     check_instance(path, FollowedPath, "path", "follow returns one")
@@ -95,7 +94,7 @@ def path_figure(path: FollowedPath[Any]) -> Figure:
         top.plot(path.parameters, column, color=colour, ls=style, label=f"$r_{{{name[2:]}}}$")
     top.set(ylabel=f"leg reading [{', '.join(dict.fromkeys(legs.units))}]")
     if isinstance(states, StageConfiguration):
-        of_stage = stages.singularities(states)
+        of_stage = singularities(states)
         matrices = {"forward": (of_stage.forward, _GREEN, "-"), "inverse": (of_stage.inverse, "black", "-")}
     else:
         looks = {"$J_b$": (_GREEN, "-"), "$J_c$": (_SKY, "-."), "$K$": ("black", "-")}
@@ -121,15 +120,15 @@ def reach_figure(reach: StageReach) -> Figure:
     Parameters
     ----------
     reach : StageReach
-        Result of `spm_pin.stages.reach`.
+        Result of `spm_pin.workspace.reach`.
 
     Returns
     -------
     matplotlib.figure.Figure
     """
-    from spm_pin.stages import StageReach
+    from spm_pin.workspace import StageReach
 
-    found = check_instance(reach, StageReach, "reach", "spm_pin.stages.reach returns one")
+    found = check_instance(reach, StageReach, "reach", "spm_pin.workspace.reach returns one")
     figure = new_figure(6.0, 5.2, layout="constrained")
     from matplotlib import colormaps
 

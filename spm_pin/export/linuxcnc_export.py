@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from spm_pin import stages
 from spm_pin.export.c_export import c_sources
 from spm_pin.export.c_texts import filled, marks, template, write_sources
 from spm_pin.export.ros_export import ASSUMED, ends_of_travel, start_readings, travel
@@ -17,6 +16,7 @@ from spm_pin.kinematics import forward_physical, inverse_physical
 from spm_pin.machine import Manipulator, Stage, pose
 from spm_pin.machine.machine import check_machine
 from spm_pin.support.arguments import FloatArray
+from spm_pin.workspace import home_height
 
 _FILES = {"kins.c": "@NAME@kins.c", "machine.ini": "@NAME@.ini", "machine.hal": "@NAME@.hal"}
 _UNITS = {"m": ("UNITS_PER_METRE", 1e3, "LINEAR"), "rad": ("1.0 / DEGREE", np.rad2deg(1.0), "ANGULAR")}
@@ -217,19 +217,19 @@ class _StageAlone(_Machine):
     includes = '#define STAGE_DOUBLE\n#include "stage_read_machine.h"'
 
     def __init__(self, stage: Stage) -> None:
-        level = stages.inverse_physical(stage, stages.home_height(stage))
+        level = inverse_physical(stage, home_height(stage))
         self.machine, self.home = stage, level.readings
         stroke = np.hypot(*level.places.T) / np.abs(stage.legs.largest_slopes)
         self.ends = ends_of_travel(stage.reading_limits, self.home, stroke)
         self.sources = {"stage.h": stage_c_sources(stage)["stage.h"], **stage_machine_sources(stage)}
 
     def axis_values(self, readings: FloatArray) -> FloatArray:
-        state = stages.forward_physical(self.machine, readings)
+        state = forward_physical(self.machine, readings)
         return np.stack([1e3 * state.height, np.rad2deg(state.roll), np.rad2deg(state.pitch)], axis=-1)
 
     def readings(self, values: FloatArray) -> FloatArray:
         height, roll, pitch = 1e-3 * values[..., 0], np.deg2rad(values[..., 1]), np.deg2rad(values[..., 2])
-        return stages.inverse_physical(self.machine, height, roll=roll, pitch=pitch).readings
+        return inverse_physical(self.machine, height, roll=roll, pitch=pitch).readings
 
     def circle(self, size: float) -> FloatArray:
         height, tilt = np.full_like(_TURN, self.axis_values(self.home)[0]), 5.0 * size  # degrees

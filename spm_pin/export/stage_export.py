@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin import stages
 from spm_pin.export.c_texts import checked_prefix, filled, machine_text, marks, template, write_sources
 from spm_pin.formulas.leg_constants import LIMIT_ROUNDING
 from spm_pin.formulas.planar_legs import MOST_TURNED
+from spm_pin.kinematics import inverse_physical
 from spm_pin.machine import Stage, StageConfiguration
 from spm_pin.support.arguments import FloatArray, check_instance
+from spm_pin.workspace import home_height
 
 _CASES, _TRIED = 12, (48, 4096)
 """Known answers, and states tried for them: few at first, for which no kernels are compiled."""
@@ -85,7 +86,7 @@ def stage_numbers(stage: Stage) -> FloatArray:
     fixed += [np.broadcast_to(getattr(kind, "sign", 0.0), 3), legs.offsets, *stage.reading_limits]
     fixed += [np.where(np.array(legs.units) == "rad", stage.crank_middles + legs.offsets, 0.0)]
     numbers = np.concatenate([legs.pivots, *legs.planes, legs.balls, np.stack(fixed, axis=-1)], axis=-1)
-    return np.concatenate([[stage.kind.up, stages.home_height(stage)], numbers.ravel()])
+    return np.concatenate([[stage.kind.up, home_height(stage)], numbers.ravel()])
 
 
 def stage_machine_sources(stage: Stage) -> dict[str, str]:
@@ -147,7 +148,7 @@ def _held_states(stage: Stage, home: float, count: int) -> StageConfiguration:
     rng, share = np.random.default_rng(17), np.linspace(1.0, 0.0, count)
     tilt, azimuth = _TILT * share * rng.random(count), rng.uniform(-np.pi, np.pi, count)
     height = home + _LIFT * stage.platform_radius * share * rng.uniform(-1.0, 1.0, count)
-    states = stages.inverse_physical(stage, height, tilt=tilt, azimuth=azimuth)
+    states = inverse_physical(stage, height, tilt=tilt, azimuth=azimuth)
     slopes = np.abs(stage.legs.slopes(states.places, states.readings)) / stage.legs.largest_slopes
     (low, high), readings = stage.reading_limits, states.readings
     good = states.exists & ((readings > low) & (readings < high) & (slopes > _CLEAR)).all(axis=-1)

@@ -29,19 +29,23 @@ from spm_pin.kinematics.singularity_analysis import (
 )
 from spm_pin.kinematics.singularity_kinds import SingularityKind
 from spm_pin.kinematics.stage_balls import STAGE_MODES
+from spm_pin.kinematics.stage_rates import MOTION, JointLoads, StageSingularities, joint_loads, parasitic_jacobian
 from spm_pin.kinematics.tracking import CertifiedLimits, Event, EventKind, FollowedPath
 
 __all__ = [
     "ASSEMBLY_MODES",
+    "MOTION",
     "STAGE_MODES",
     "BranchMemory",
     "CertifiedLimits",
     "Event",
     "EventKind",
     "FollowedPath",
+    "JointLoads",
     "PrincipalStiffness",
     "Singularities",
     "SingularityKind",
+    "StageSingularities",
     "branch_lengths",
     "compile_kernels",
     "complex_middle_joints",
@@ -54,8 +58,10 @@ __all__ = [
     "inverse_displacement",
     "inverse_jacobian",
     "inverse_physical",
+    "joint_loads",
     "leg_forces",
     "leg_rates",
+    "parasitic_jacobian",
     "platform_jacobian",
     "principal_stiffness",
     "set_threads",

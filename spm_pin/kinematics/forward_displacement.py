@@ -39,7 +39,7 @@ _MIN_BATCH_PER_THREAD, _MIN_BATCH_PER_THREAD_PHYSICAL = 1 << 8, 1 << 12
 
 @or_of_stage(stage_displacement.forward)
 def forward_displacement(machine: Manipulator, readings: npt.ArrayLike) -> SolutionSet:
-    """Find all configurations with given leg lengths; for a stage see `spm_pin.stages.forward`.
+    """Find all configurations with given leg lengths; for a stage see `spm_pin.kinematics.stage_displacement.forward`.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def forward_displacement(machine: Manipulator, readings: npt.ArrayLike) -> Solut
 def forward_physical(machine: Manipulator, readings: npt.ArrayLike, near: Configuration | None = None) -> Configuration:
     """Find the physical configuration with these readings, in which an assembled machine is.
 
-    For a stage see `spm_pin.stages.forward_physical`.
+    For a stage see `spm_pin.kinematics.stage_displacement.forward_physical`.
 
     Parameters
     ----------

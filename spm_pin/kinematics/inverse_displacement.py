@@ -47,7 +47,8 @@ def inverse_displacement(
 ) -> SolutionSet:
     """Find all configurations with a given pose of the platform: the branches.
 
-    For a stage the arguments are a height and a tilt instead of a pose, as for `spm_pin.stages.inverse`.
+    For a stage the arguments are a height and a tilt instead of a pose, as for
+    `spm_pin.kinematics.stage_displacement.inverse`.
 
     Parameters
     ----------
@@ -193,7 +194,8 @@ def _method(machine: Manipulator) -> _Method:
 def inverse_physical(machine: Manipulator, pose: PoseLike, *, near: Configuration | None = None) -> Configuration:
     """Find the physical configuration for a pose, in which an assembled machine is.
 
-    For a stage the arguments are a height and a tilt instead of a pose, as for `spm_pin.stages.inverse_physical`.
+    For a stage the arguments are a height and a tilt instead of a pose, as for
+    `spm_pin.kinematics.stage_displacement.inverse_physical`.
 
     Parameters
     ----------

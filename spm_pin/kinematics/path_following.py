@@ -37,7 +37,8 @@ def follow(
 ) -> FollowedPath[Configuration]:
     """Follow one solution along a path of poses or of leg lengths.
 
-    For a stage the path is one of readings, or of heights and tilts, with the arguments of `spm_pin.stages.follow`.
+    For a stage the path is one of readings, or of heights and tilts, with the arguments of
+    `spm_pin.kinematics.stage_paths.follow`.
 
     Parameters
     ----------

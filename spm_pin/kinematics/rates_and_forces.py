@@ -71,7 +71,7 @@ def platform_jacobian(configuration: State) -> FloatArray:
         Rows the twist (v, ω) of m at o, in {B} [m/s, rad/s]; columns the legs, as in `inverse_jacobian`. Singular, but
         right, at an inverse singularity. A single state raises `SingularConfigurationError`, and a member of a batch is
         NaN, at a forward or a constraint singularity, where the legs do not hold the platform. For a stage the
-        parasitic motion is included, and the rows `spm_pin.stages.MOTION` are the inverse of its `inverse_jacobian`.
+        parasitic motion is included; the rows `spm_pin.kinematics.MOTION` are the inverse of its `inverse_jacobian`.
     """
     if isinstance(configuration, StageConfiguration):
         return stage_rates.platform_jacobian(configuration)
@@ -121,7 +121,7 @@ def leg_forces(configuration: State, wrench: npt.ArrayLike) -> FloatArray:
         Efforts of the actuators of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [N] ([N m] for RRS legs); a positive effort
         increases the reading: an RPS leg pushes. Weights and friction are left out. At singularities as
         `platform_jacobian`. Other loads of the joints: `spm_pin.capability.joint_reactions`, and for a stage
-        `spm_pin.stages.joint_loads`.
+        `spm_pin.kinematics.joint_loads`.
     """
     check_state(configuration)
     load = _broadcast_argument(wrench, "wrench", "(f, m) at o in {B} in N and N m", configuration, 6)

@@ -74,13 +74,13 @@ def inverse(
         has shape (..., 2, 3). Arrays of a missing mode are NaN. `.status` (...) is `Status.OK`, or `UNREACHABLE` if
         neither exists, because no platform pose has this normal, which includes those within 1.4 mrad of -z, where the
         legs hardly determine the torsion, or a leg does not reach its ball. `.physical()` is the one that an assembled
-        machine is in, and `nearest_reachable` returns the nearest tilt if this one is out of reach.
+        machine is in. If the tilt is out of reach, `spm_pin.workspace.nearest_reachable_pose` finds the nearest one.
 
     Examples
     --------
     >>> import numpy as np, spm_pin as spm
     >>> balancer = spm.Stage(base_radius=0.08, platform_radius=0.09, legs=spm.RRS(crank=0.05, rod=0.11))
-    >>> solutions = spm.stages.inverse(balancer, height=0.12, roll=np.deg2rad(8), pitch=np.deg2rad(-5))
+    >>> solutions = spm.inverse_displacement(balancer, height=0.12, roll=np.deg2rad(8), pitch=np.deg2rad(-5))
     >>> solutions
     <StageSolutions: ok, 1 of 2 real: T>
     >>> np.rad2deg(solutions.physical().readings).round(2)
@@ -125,7 +125,7 @@ def inverse_physical(
     --------
     >>> import numpy as np, spm_pin as spm
     >>> head = spm.Stage(base_radius=0.35, platform_radius=0.20, legs=spm.PRS(rod=0.40))
-    >>> spm.stages.inverse_physical(head, height=0.5, tilt=np.deg2rad(20), azimuth=np.pi / 2)
+    >>> spm.inverse_physical(head, height=0.5, tilt=np.deg2rad(20), azimuth=np.pi / 2)
     <StageConfiguration: tilt 20.00° towards 90.0°, height 0.5000 m, readings 0.1634, 0.0686, 0.1634 m>
     """
     shape, normals, heights = _read_request(stage, height, normals_of_request(tilt, azimuth, roll, pitch, normal))
@@ -173,7 +173,7 @@ def forward(stage: Stage, readings: npt.ArrayLike) -> StageSolutions:
     --------
     >>> import spm_pin as spm
     >>> tripod = spm.Stage(base_radius=0.7, platform_radius=0.46)
-    >>> spm.stages.forward(tripod, [1.2, 1.2, 1.4])
+    >>> spm.forward_displacement(tripod, [1.2, 1.2, 1.4])
     <StageSolutions: ok, 12 of 16 real: T1+, T1-, T2+, T2-, T3+, T3-, T4+, T4-, …>
     """
     read = read_stage_readings(stage, readings)
@@ -220,7 +220,7 @@ def forward_physical(
     --------
     >>> import spm_pin as spm
     >>> balancer = spm.Stage(base_radius=0.08, platform_radius=0.09, legs=spm.RRS(crank=0.05, rod=0.11))
-    >>> spm.stages.forward_physical(balancer, [0.2, 0.4, 0.6])
+    >>> spm.forward_physical(balancer, [0.2, 0.4, 0.6])
     <StageConfiguration: tilt 7.75° towards -1.8°, height 0.1232 m, readings 0.2000, 0.4000, 0.6000 rad>
     """
     read = read_stage_readings(stage, readings)

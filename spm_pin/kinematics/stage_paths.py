@@ -67,7 +67,7 @@ def follow(
     --------
     >>> import numpy as np, spm_pin as spm
     >>> balancer = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), limits=(-0.6, 1.2))
-    >>> spm.stages.follow(balancer, height=0.12, tilt=np.radians([0, 30]), azimuth=0.0)
+    >>> spm.follow(balancer, height=0.12, tilt=np.radians([0, 30]), azimuth=0.0)
     <FollowedPath: complete, 214 states of T; leg limit at 0.8901>
     """
     check_instance(stage, Stage, "stage")

@@ -6,6 +6,7 @@ Base classes: `Machine` of both, with `Legs` of three or six; `Batched` of their
 
 from spm_pin.machine.branch_of_state import BRANCHES, FAMILIES
 from spm_pin.machine.configuration import Configuration
+from spm_pin.machine.gallery import RealMachine, gallery
 from spm_pin.machine.joint_angles import JointAngles, home_readings, joint_angles
 from spm_pin.machine.leg_kinds import PRS, RPS, RRS, LegKind
 from spm_pin.machine.legs import LEGS, STAGE_LEGS, LegLimits, Legs, PlacedLegs, StageLimits
@@ -14,13 +15,14 @@ from spm_pin.machine.manipulator import PARAMETERS, Manipulator
 from spm_pin.machine.solution_axis import Status
 from spm_pin.machine.solutions import Degeneracy, SolutionSet
 from spm_pin.machine.stage import Stage
-from spm_pin.machine.stage_configuration import StageConfiguration, StageSolutions
+from spm_pin.machine.stage_configuration import OPERATION_MODES, StageConfiguration, StageSolutions
 from spm_pin.support.pose import PoseLike, as_rigid_transform, pose
 
 __all__ = [
     "BRANCHES",
     "FAMILIES",
     "LEGS",
+    "OPERATION_MODES",
     "PARAMETERS",
     "PRS",
     "RPS",
@@ -36,6 +38,7 @@ __all__ = [
     "Manipulator",
     "PlacedLegs",
     "PoseLike",
+    "RealMachine",
     "SolutionSet",
     "Stage",
     "StageConfiguration",
@@ -43,6 +46,7 @@ __all__ = [
     "StageSolutions",
     "Status",
     "as_rigid_transform",
+    "gallery",
     "home_readings",
     "joint_angles",
     "pose",

@@ -233,9 +233,9 @@ def machine_from_yaml(path: str | Path) -> Manipulator | Stage:
         return machine_from_data(read_yaml(path), "")
 
 
-def check_manipulator(value: Any, argument: str = "machine") -> Manipulator:
-    """Return `value` if it is a manipulator."""
-    return check_instance(value, Manipulator, argument, ALONE * isinstance(value, Stage))
+def check_manipulator(value: Any, argument: str = "machine", *, for_stage: str = ALONE) -> Manipulator:
+    """Return `value` if it is a manipulator; `for_stage` is the cause that an error states for a stage."""
+    return check_instance(value, Manipulator, argument, for_stage * isinstance(value, Stage))
 
 
 def check_same_machine(machine: Machine, expected: Machine, argument: str, owner: str) -> None:

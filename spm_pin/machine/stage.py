@@ -54,15 +54,14 @@ class Stage(Machine):
 
     Notes
     -----
-    Two stages on one triangle of balls are a `Manipulator`. `spm_pin.stages` has inverse and forward displacement,
-    rates, forces, singularities and the reach. A stage whose platform hangs is described upside down, z downwards.
-    `spm_pin.multibody.read_stage` measures a stage in an MJCF, URDF or SDF file.
+    Two stages on one triangle of balls are a `Manipulator`. A stage whose platform hangs is described upside down, z
+    downwards. `spm_pin.multibody.read_stage` measures a stage in an MJCF, URDF or SDF file.
 
     Examples
     --------
     >>> import spm_pin as spm
     >>> balancer = spm.Stage(base_radius=0.08, platform_radius=0.09, legs=spm.RRS(crank=0.05, rod=0.11))
-    >>> state = spm.stages.inverse_physical(balancer, height=0.12, tilt=0.2, azimuth=0.0)
+    >>> state = spm.inverse_physical(balancer, height=0.12, tilt=0.2, azimuth=0.0)
     >>> state.readings.round(4)
     array([0.0547, 0.3299, 0.6472])
     """

@@ -224,7 +224,7 @@ class StageSolutions(Solutions[StageConfiguration]):
         return np.where(candidates, np.cos(self.configurations.tilt), -math.inf)
 
     def _hint(self, index: tuple[int, ...]) -> str:
-        nearest = "For the nearest tilt that is reached see spm_pin.stages.nearest_reachable"
+        nearest = "For the nearest tilt that is reached see spm_pin.workspace.nearest_reachable_pose"
         if self.labels != OPERATION_MODES:
             return super()._hint(index)
         below = (self.configurations.height[index] < 0.0).any() and not self.is_physical[index].any()

@@ -189,7 +189,7 @@ def _at(
 ) -> tuple[FloatArray, ...]:
     """Return q', q'', the twist, f_a, f_b and f_c at one q, from the derivatives of leg lengths or of the platform."""
     state.update(q)
-    first = state.joint_rates(rate) if of_legs else state._velocities_along(rate)
+    first = state.joint_rates(rate) if of_legs else state.velocities_along(rate)
     static, moved = state.inverse_dynamics(np.zeros(len(q))), state.inverse_dynamics(first)
     twist = state.kinematics.platform_jacobian @ first
     state.update(q, first)

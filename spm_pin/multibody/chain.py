@@ -347,7 +347,7 @@ class ClosedChain:
             try:
                 pose, twist, acceleration = read_motion(motion)
                 q = follow_pose(state.kinematics, q, pose.rotation.as_matrix(), pose.translation)
-                v = state.update(q)._velocities_along(twist)
+                v = state.update(q).velocities_along(twist)
                 a = state.update(q, v)._accelerations_along(twist, acceleration)
                 efforts = np.zeros(q.size)
                 efforts[self.leg_indices] = state.inverse_dynamics(a)

@@ -347,7 +347,7 @@ class ChainState(ConstrainedState):
         kinematics = self.kinematics
         return kinematics.inverse_factors.solve(kinematics.nondimensional(acceleration - platform, -gaps))
 
-    def _velocities_along(self, twist: FloatArray) -> FloatArray:
+    def velocities_along(self, twist: FloatArray) -> FloatArray:
         """Return the velocities of all joints of a single state with which m moves as W times a twist (6,) says."""
         kinematics, gaps = self.kinematics, np.zeros(3 * len(self._constrained.closures))
         return kinematics.inverse_factors.solve(kinematics.nondimensional(twist, gaps))

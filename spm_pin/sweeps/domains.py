@@ -430,7 +430,7 @@ class SweepPlan:
 
     def __iter__(self) -> Iterator[tuple[int, ...]]:
         """Iterate over the indices of the chunks, without a list of them."""
-        return np.ndindex(self.chunks)
+        return (tuple(map(int, np.unravel_index(k, self.chunks))) for k in range(self.count))
 
     def chunk_size(self, index: tuple[int, ...]) -> int:
         """Return the number of points of the chunk at `index`."""

@@ -258,7 +258,7 @@ def condition(
     Parameters
     ----------
     metric : str or Metric
-        A metric, by its name or with parameters; it is evaluated at the readings of the states, without leg limits.
+        A metric, by its name or with parameters; it is evaluated at the states, without leg limits.
     least, most : float, optional
         Bounds in the unit of the metric, at least one; NaN is not within them.
 
@@ -288,10 +288,9 @@ def condition(
 
 
 def _is_within(metric: Metric, least: float, most: float, states: Configuration | StageConfiguration) -> BoolArray:
-    # States may be outside the limits of the machine, if the calling function was given other limits.
-    machine = dataclasses.replace(states.machine, limits=None)
-    readings = states.readings.reshape(-1, len(machine.legs.names))
-    values = metric.evaluate(Points(machine, "legs", readings))
+    # Solving the readings anew may find another state: a PRS stage can have two in its home assembly region.
+    flat = states.transformed(lambda array, inner: array.reshape(-1, *array.shape[array.ndim - inner :]))
+    values = metric.evaluate(Points.of_states(flat))
     return np.asarray((values >= least) & (values <= most)).reshape(states.shape)
 
 
@@ -328,12 +327,13 @@ def _assembly_modes(points: Points) -> npt.ArrayLike:
 
 def _leg_margin(points: Points) -> npt.ArrayLike:
     """Return the margin of the worst leg, in the physical branch of a pose with the largest margin."""
-    if points.machine.limits is None:
+    limits = points.machine.limits
+    if limits is None:
         raise ArgumentError("machine", "a machine with leg limits, for the margin", "a machine without limits")
     scale = points.machine.legs.largest_slopes
     if points.space == "legs":
-        return np.where(points.assembled.exists, points.limits.margin(points.coordinates, scale), np.nan)
-    margins = points.limits.margin(points.solutions.readings, scale)
+        return np.where(points.assembled.exists, limits.margin(points.coordinates, scale), np.nan)
+    margins = limits.margin(points.solutions.readings, scale)
     largest = np.where(points.solutions.is_physical, margins, -np.inf).max(axis=-1)
     return np.where(np.isinf(largest), np.nan, largest)
 

@@ -70,6 +70,13 @@ class Points:
         self.coordinates = frozen(coordinates)
         self._singular_values: dict[float, FloatArray] = {}
 
+    @classmethod
+    def of_states(cls, states: Configuration | StageConfiguration) -> Points:
+        """Return points at states (N,), whatever the limits of their machine and their assembly modes."""
+        points = cls(states.machine, "legs", np.array(states.readings))
+        points.limits, points.assembled = states.machine.legs.free_limits, states
+        return points
+
     def __len__(self) -> int:
         return len(self.coordinates)
 

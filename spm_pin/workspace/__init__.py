@@ -1,4 +1,4 @@
-"""Workspace of the terminal platform: the set of all poses that are reached within the limits."""
+"""Workspace of a machine: the set of all poses, or tilts and heights, that its platform reaches within the limits."""
 
 from spm_pin.workspace.boundary import Boundary, BoundaryPoints, reachable_boundary
 from spm_pin.workspace.poses import (
@@ -19,6 +19,7 @@ from spm_pin.workspace.positions import (
     reachable_position,
     reachable_volume,
 )
+from spm_pin.workspace.stage_reach import ReachEnd, StageReach, best_height, height_range, home_height, reach
 from spm_pin.workspace.states import sample_reachable
 
 __all__ = [
@@ -29,12 +30,18 @@ __all__ = [
     "NearestPose",
     "OrientationWorkspace",
     "PositionReach",
+    "ReachEnd",
     "Reachability",
+    "StageReach",
+    "best_height",
+    "height_range",
+    "home_height",
     "leg_clearance",
     "nearest_reachable_pose",
     "orientation_workspace",
     "pose_distance",
     "pose_volume",
+    "reach",
     "reachable",
     "reachable_boundary",
     "reachable_position",

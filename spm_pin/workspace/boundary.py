@@ -20,6 +20,7 @@ from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.kernels import RESOLUTION
 from spm_pin.machine import LegLimits, Manipulator
+from spm_pin.machine.manipulator import check_manipulator
 from spm_pin.support.arguments import (
     BoolArray,
     FloatArray,
@@ -45,6 +46,8 @@ from spm_pin.workspace.states import StateSet, finite_limits, states_within
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
+FOR_STAGE = "For a stage see spm_pin.workspace.reach: its largest tilts by height and direction"
+"""Cause of an error where a stage has no set of positions of its own."""
 _OBLIQUE = Rotation.from_rotvec([0.37, -0.59, 0.83]).as_matrix()
 """Rotation to a frame whose last axis is far from the symmetries of a mesh: if a ray runs along a face, rounding could
 hide whether it is ahead of the point."""
@@ -371,6 +374,7 @@ def reachable_boundary(
     >>> 1.7 < boundary.volume < 1.9
     True
     """
+    check_manipulator(machine, for_stage=FOR_STAGE)
     require_extra("workspace", "skimage")
     measure: Any = import_module("skimage.measure")
     limits = finite_limits(machine, limits)

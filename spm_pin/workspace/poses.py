@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise, product
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,7 @@ from spm_pin.kinematics import stage_displacement
 from spm_pin.kinematics.either_machine import or_of_stage
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
+from spm_pin.kinematics.stage_displacement import normals_of_request
 from spm_pin.machine import (
     BRANCHES,
     FAMILIES,
@@ -35,7 +36,7 @@ from spm_pin.machine import (
     joint_angles,
 )
 from spm_pin.machine.branch_of_state import branch_sign, family, physical
-from spm_pin.machine.configuration import check_configuration, check_state
+from spm_pin.machine.configuration import Condition, check_configuration, check_state
 from spm_pin.machine.manipulator import check_manipulator, check_same_machine
 from spm_pin.support.arguments import (
     BoolArray,
@@ -48,7 +49,10 @@ from spm_pin.support.arguments import (
 )
 from spm_pin.workspace.nearest_state import nearest_state
 from spm_pin.workspace.search import nearest_states
+from spm_pin.workspace.stage_reach import nearest_tilt
 from spm_pin.workspace.states import free_states, given_limits, states_around, states_within
+
+S = TypeVar("S", Configuration, StageConfiguration)
 
 _PAIRS = {n: np.array([(i, j) for i in range(n) for j in range(i + 1, n) if j != i + 3]) for n in (3, 6)}
 """Pairs of the legs of a stage, or of a manipulator, that have no joint in common, by their indices."""
@@ -103,6 +107,11 @@ class JointLimits:
         if self.clearance is not None:
             clearance = real_number(self.clearance, "clearance", "a distance in metres, not negative", least=0.0)
             object.__setattr__(self, "clearance", clearance)
+
+    def __call__(self, configuration: Configuration | StageConfiguration) -> BoolArray:
+        """Return which states (...) keep all limits: a condition for `where` of `reach`, `pose_volume` and others."""
+        with np.errstate(invalid="ignore"):
+            return (self.angle_margin(configuration) >= 0.0) & (self.clearance_margin(configuration) >= 0.0)
 
     def angle_margin(self, configuration: Configuration | StageConfiguration) -> FloatArray:
         """Return the distance of the worst angle from its limits, shape (...) [rad].
@@ -205,13 +214,14 @@ class Reachability:
 
 
 @dataclass(frozen=True)
-class NearestPose:
+class NearestPose(Generic[S]):
     """A reachable state near an unreachable pose; arrays over the given poses, of shape (...)."""
 
-    configuration: Configuration
+    configuration: S
     """The nearest state found."""
     distance: Any
-    """Distance from the given pose, see `pose_distance` [m]; a float for one pose."""
+    """Distance from the given pose, see `pose_distance` [m]; a float for one pose. For a stage the angle between the
+    normals [rad]."""
 
 
 def _reachable_by_stage(
@@ -258,8 +268,8 @@ def reachable(
 ) -> Reachability:
     """Find which branches of poses respect limits, and by how much.
 
-    For a stage the arguments are a height and a tilt instead of a pose, as for `spm_pin.stages.inverse`; its branches
-    are the modes T and F.
+    For a stage the arguments are a height and a tilt instead of a pose, as for `spm_pin.inverse_displacement`; its
+    branches are the modes T and F.
 
     Parameters
     ----------
@@ -311,6 +321,24 @@ def _joint_positions(machine: Manipulator, matrices: FloatArray) -> FloatArray:
     return (matrices[..., None, :3, 3] + moved).reshape(*matrices.shape[:-2], 9)
 
 
+def _nearest_of_stage(
+    machine: Stage,
+    height: float,
+    *,
+    tilt: float | None = None,
+    azimuth: float | None = None,
+    roll: float | None = None,
+    pitch: float | None = None,
+    normal: npt.ArrayLike | None = None,
+    where: Condition | None = None,
+) -> NearestPose[StageConfiguration]:
+    target = normals_of_request(tilt, azimuth, roll, pitch, normal)
+    state = nearest_tilt(machine, height, target, where)
+    angle = np.arctan2(np.linalg.norm(np.cross(state.normal, target)), state.normal @ target)
+    return NearestPose(state, float(angle))
+
+
+@or_of_stage(_nearest_of_stage)
 def nearest_reachable_pose(
     machine: Manipulator,
     pose: PoseLike,
@@ -318,13 +346,17 @@ def nearest_reachable_pose(
     *,
     branch: str | None = None,
     near: Configuration | None = None,
-) -> NearestPose:
+) -> NearestPose[Configuration]:
     """Find the reachable pose nearest to one that may be out of reach.
+
+    For a stage the arguments are a height and a tilt instead of a pose, as for `inverse_displacement` but for one
+    request, within the limits of the stage. ``where`` takes states (n,) and returns which of them count besides, (n,),
+    as for `reach`.
 
     Parameters
     ----------
-    machine : Manipulator
-        The manipulator.
+    machine : Manipulator or Stage
+        The machine.
     pose : pose of shape (...)
         Of {m} in {B}, translation in metres.
     limits : LegLimits, optional
@@ -341,6 +373,12 @@ def nearest_reachable_pose(
     -------
     NearestPose
         The pose itself where it is reachable. A local minimum of the distance in any case.
+
+        For a stage, of the states in `reach` at this height, the one whose normal has the smallest angle to the
+        requested one, to 1e-6 rad. If the stage is not level at this height, it is of all states at this height that
+        are found half a degree apart; without any, of `reach` at the nearest height of `height_range`; if that is
+        empty, of all states at the height where the readings are in the middle of their limits. Otherwise it is
+        missing.
 
     Raises
     ------
@@ -396,17 +434,17 @@ def _nearest_within(
         for target in targets:
             order = np.argsort(((places - target) ** 2).sum(axis=-1))
             ends.append(nearest_state(states, target, _unlike(pairs[order], _STARTS), joints))
-        return states.states(np.array(ends).reshape(-1, 2, 3))
+        return states.states(np.array(ends).reshape(-1, 2, 3))  # type: ignore[no-any-return]
     states, start = states_around(near, limits)
     result = nearest_states(states, targets, np.broadcast_to(start, (len(targets), 1, 2, 3)), joints)
     if states.aspects == (HOME_ASPECT, HOME_ASPECT):
-        return states.states(result.coordinates, result.readings)
+        return states.states(result.coordinates, result.readings)  # type: ignore[no-any-return]
     # Elsewhere the sign of a determinant does not distinguish aspects: the path from `near` does.
     followed = forward_physical(machine, result.readings, near=near)
     gap = np.abs(followed.middle_joints - states.states(result.coordinates).middle_joints).max(axis=(-1, -2))
     with np.errstate(invalid="ignore"):
         kept = gap <= _MODE_TOLERANCE * machine.middle_side
-    return states.states(np.where(kept[:, None, None], result.coordinates, start))
+    return states.states(np.where(kept[:, None, None], result.coordinates, start))  # type: ignore[no-any-return]
 
 
 def _unlike(states: FloatArray, count: int) -> FloatArray:

@@ -8,6 +8,7 @@ control of PKMs", 2002.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -16,13 +17,12 @@ import numpy.typing as npt
 from scipy.spatial import KDTree
 
 from spm_pin.errors import ArgumentError
-from spm_pin.kinematics.forward_displacement import forward_physical
+from spm_pin.kinematics.either_machine import or_of_stage
 from spm_pin.kinematics.kernels import RESOLUTION
-from spm_pin.kinematics.rates_and_forces import platform_jacobian
-from spm_pin.kinematics.stage_rates import tilt_densities
-from spm_pin.machine import Configuration, LegLimits, Manipulator, Stage
+from spm_pin.kinematics.stage_displacement import read_heights
+from spm_pin.machine import Configuration, LegLimits, Manipulator, Stage, StageConfiguration
 from spm_pin.machine.configuration import Condition, check_condition
-from spm_pin.machine.machine import check_machine
+from spm_pin.machine.manipulator import check_manipulator
 from spm_pin.support.arguments import (
     BoolArray,
     FloatArray,
@@ -34,9 +34,9 @@ from spm_pin.support.arguments import (
     whole_number,
 )
 from spm_pin.support.progress import shown_progress
-from spm_pin.workspace.boundary import Boundary, reachable_boundary
+from spm_pin.workspace.boundary import FOR_STAGE, Boundary, reachable_boundary
 from spm_pin.workspace.search import Membership, nearest_points, search_states, start_table
-from spm_pin.workspace.states import StateSet, check_finite, pose_densities, states_within
+from spm_pin.workspace.states import StateSet, states_within
 
 _OPTIMALITY_TOLERANCE = 1e-6
 """Violation of Eq. (1) of `docs/theory/reachable_set.md`, above which the search has not converged."""
@@ -46,6 +46,8 @@ CONFIDENCE = 0.95
 """Probability with which the intervals of volumes from samples hold the volume."""
 ROTATIONS = 8.0 * np.pi**2
 """Measure of all rotations [rad³]."""
+NORMALS = 4.0 * np.pi
+"""Measure of all normals [sr]."""
 _LARGE = 0.99
 """Share of the states with a smaller weight than one that is assumed where no state counts."""
 
@@ -172,6 +174,7 @@ def reachable_position(machine: Manipulator, points: npt.ArrayLike, limits: LegL
     "Reachable" is proved: `readings` put o there. "Not reachable" is the outcome of a search; where it has not found
     the nearest position either, `undecided` says so.
     """
+    check_manipulator(machine, for_stage=FOR_STAGE)
     array = real_array(points, "points", (3,), "positions in metres")
     states = states_within(machine, limits)
     flat, shape = array.reshape(-1, 3), array.shape[:-1]
@@ -219,6 +222,7 @@ def reachable_volume(
     rng : Generator or int, optional
         Source of randomness, or its seed.
     """
+    check_manipulator(machine, for_stage="For a stage see spm_pin.workspace.pose_volume, of heights and normals")
     if choice(method, "method", ("sampling", "mesh")) == "mesh":
         if where is not None:
             raise ArgumentError("where", 'None with the method "mesh"', type_and_value(where))
@@ -251,8 +255,10 @@ def pose_volume(
 
     Parameters
     ----------
-    machine, limits, rng
-        As for `reachable_volume`; the machine may be a stage, with `StageLimits`.
+    machine : Manipulator or Stage
+        The machine.
+    limits, rng
+        As for `reachable_volume`.
     where : callable, optional
         Takes states (n,) and returns which of them count, (n,); all if not given. A state counts with one over the
         number of states of its pose, whether those count or not.
@@ -264,24 +270,19 @@ def pose_volume(
     States are drawn uniformly in coordinates of the stages, and weighted with |det ∂(o, R)/∂c| over the number of
     states with the same pose. A ratio of two such volumes, of the same seed, is a share of the poses. The interval is
     Student's; with `where` the wider of that and one of the effective number of states that count, in `method`.
-
-    For a stage, readings are drawn and weighted with |det ∂(height, normal)/∂readings|, which is unbounded at a forward
-    singularity: if the limits contain one, the estimate may be too small.
     """
     count = whole_number(samples, "samples", least=2)
-    check_machine(machine)
-    if isinstance(machine, Stage):
-        return _tilt_volume(machine, limits, where, count, generator(rng))
     states, rng = states_within(machine, limits), generator(rng)
-    (lower, first), (upper, second) = (states.draw_stages(stage, count, rng) for stage in range(2))
-    number = min(len(lower), len(upper))
-    coordinates = np.stack([lower[:number], upper[:number]], axis=1)
-    values, method = pose_densities(states, coordinates), "change of variables from coordinates of the stages"
+    drawn = [states.draw_stages(stage, count, rng) for stage in range(len(states.aspects))]
+    number = min(len(coordinates) for coordinates, _ in drawn)
+    coordinates = np.stack([coordinates[:number] for coordinates, _ in drawn], axis=1)
+    values, method = states.densities(coordinates), "change of variables from coordinates of the stages"
     unseen = None
     if where is not None:
         satisfied = check_condition(where, states.states(coordinates))
         values, method, unseen = _counting(values, satisfied, method)
-    return Estimate.from_mean(values, first * second, CONFIDENCE, method, "m³ rad³", 2.0 / number, unseen)
+    whole, unit = math.prod(volume for _, volume in drawn), "m sr" if len(drawn) == 1 else "m³ rad³"
+    return Estimate.from_mean(values, whole, CONFIDENCE, method, unit, len(drawn) / number, unseen)
 
 
 def _counting(values: FloatArray, satisfied: BoolArray, method: str) -> tuple[FloatArray, str, float]:
@@ -290,23 +291,6 @@ def _counting(values: FloatArray, satisfied: BoolArray, method: str) -> tuple[Fl
     # The fewer states count, the larger is the uncertainty from states that were not drawn.
     unseen = float(np.quantile(values, _LARGE)) / max(hits, 1)
     return np.where(satisfied, values, 0.0), f"{method}; {hits} of {len(values)} states count", unseen
-
-
-def _tilt_volume(
-    stage: Stage, limits: LegLimits | None, where: Condition | None, count: int, rng: np.random.Generator
-) -> Estimate:
-    """Estimate the volume of the heights and normals that a stage reaches [m sr]."""
-    low, high = check_finite(stage, stage.limits if limits is None else stage.check_limits(limits)).ends
-    states = forward_physical(stage, rng.uniform(low, high, (count, 3)))
-    exists = states.exists
-    states = states[exists]
-    values, satisfied, unseen = np.zeros(count), np.zeros(count, dtype=np.bool_), None
-    values[exists] = tilt_densities(states, np.nan_to_num(platform_jacobian(states)))
-    method = "change of variables from readings"
-    if where is not None:
-        satisfied[exists] = check_condition(where, states)
-        values, method, unseen = _counting(values, satisfied, method)
-    return Estimate.from_mean(values, float((high - low).prod()), CONFIDENCE, method, "m sr", unseen=unseen)
 
 
 def _with_condition(
@@ -330,12 +314,12 @@ def _with_condition(
 
 @dataclass(frozen=True)
 class OrientationWorkspace:
-    """Orientations that can be reached at one position; arrays over the n states found."""
+    """Orientations that can be reached at one position, or by a stage at one height; arrays over the n states found."""
 
-    states: Configuration
+    states: Configuration | StageConfiguration
     """States with o at the position, uniform in the coordinates of the lower stage, shape (n,)."""
     weights: FloatArray
-    """Volume of the orientations that each state stands for [rad³], shape (n,); they add up to `volume.value`."""
+    """Volume of the orientations that each state stands for, shape (n,); they add up to `volume.value`."""
     azimuth: FloatArray
     """Azimuth to which the platform's normal leans [rad], shape (n,)."""
     tilt: FloatArray
@@ -343,15 +327,15 @@ class OrientationWorkspace:
     torsion: FloatArray
     """Rotation about the platform's normal [rad], shape (n,)."""
     volume: Estimate
-    """Volume of the orientations in rad³; all rotations measure 8π²."""
+    """Volume of the orientations in rad³; all rotations measure 8π². For a stage that of the normals, of 4π sr."""
 
     def __repr__(self) -> str:
         return f"<OrientationWorkspace: {len(self.weights)} states, {self.volume}>"
 
     @property
     def share(self) -> Estimate:
-        """Share of all rotations."""
-        return self.volume.times(1.0 / ROTATIONS, "")
+        """Share of all rotations, for a stage of all normals."""
+        return self.volume.times(1.0 / (NORMALS if self.volume.unit == "sr" else ROTATIONS), "")
 
     def largest_tilt(self, sectors: int = 36) -> tuple[FloatArray, FloatArray]:
         """Return the middles of `sectors` equal sectors of azimuth and the largest tilt found in each [rad].
@@ -365,22 +349,51 @@ class OrientationWorkspace:
         return 0.5 * (edges[1:] + edges[:-1]), np.asarray(largest, dtype=np.float64)
 
 
+def _normals_of_stage(
+    machine: Stage,
+    height: float,
+    limits: LegLimits | None = None,
+    *,
+    where: Condition | None = None,
+    samples: int = 20_000,
+    rng: np.random.Generator | int | None = None,
+) -> OrientationWorkspace:
+    level = read_heights(machine, height)
+    if level.shape:
+        raise ArgumentError("height", "one height, in metres", f"shape {level.shape}")
+    count = whole_number(samples, "samples", least=2)
+    states, rng = states_within(machine, limits), generator(rng)
+    drawn, area = states.draw_stages(0, count, rng, float(level) / states.radius)
+    coordinates = drawn[:, None]
+    # The densities are those of heights, whose unit is r in the coordinates, and normals.
+    weights = states.densities(coordinates) / states.radius
+    return _orientations(states, coordinates, weights, area, len(drawn) or count, where)
+
+
+@or_of_stage(_normals_of_stage)
 def orientation_workspace(
     machine: Manipulator,
     position: npt.ArrayLike,
     limits: LegLimits | None = None,
     *,
+    where: Condition | None = None,
     samples: int = 20_000,
     rng: np.random.Generator | int | None = None,
 ) -> OrientationWorkspace:
     """Find the orientations that the platform can have at a position in the physical mode.
 
+    For a stage the position is its ``height`` [m], and the orientations are its normals, which are drawn uniformly.
+
     Parameters
     ----------
-    machine, limits, rng
+    machine : Manipulator or Stage
+        The machine.
+    limits, rng
         As for `reachable_volume`.
     position : array_like, shape (3,)
         Position of o in {B} [m].
+    where : callable, optional
+        Takes states (n,) and returns which of them count, (n,), such as `JointLimits`; all if not given.
     samples : int
         States of the lower stage to try.
 
@@ -407,17 +420,27 @@ def orientation_workspace(
     index = np.flatnonzero(states.contains(1, upper))
     coordinates = np.stack([lower[index], upper[index]], axis=1)
     across = np.abs(np.linalg.det(states.jacobians(coordinates)[:, :3, 3:]))
+    return _orientations(states, coordinates, states.densities(coordinates) / across, region, count, where)
+
+
+def _orientations(
+    states: StateSet, coordinates: FloatArray, weights: FloatArray, region: float, count: int, where: Condition | None
+) -> OrientationWorkspace:
+    """Return the orientations of states (n,) with weights (n,), of `count` stages drawn from a region of this size."""
+    whole, unit = (NORMALS, "sr") if len(states.aspects) == 1 else (ROTATIONS, "rad³")
+    found, method, unseen = states.states(coordinates), "change of variables from coordinates of one stage", None
     values = np.zeros(count)
-    values[index] = pose_densities(states, coordinates) / across
-    method = "change of variables from the lower stage's coordinates"
-    if len(index):
-        volume = Estimate.from_mean(values, region, CONFIDENCE, method, "rad³", 1.0 / count)
+    if where is not None:
+        counts = check_condition(where, found)
+        if len(weights):
+            _, method, unseen = _counting(weights, counts, method)
+        found, weights = found[counts], weights[counts]
+    values[: len(weights)] = weights
+    if len(weights) and count > 1:
+        volume = Estimate.from_mean(values, region, CONFIDENCE, method, unit, 1.0 / count, unseen)
     else:
-        volume = Estimate.from_hits(0, count, ROTATIONS, CONFIDENCE, method, "rad³")
-    configurations = states.states(coordinates)
-    azimuth, tilt, torsion = tilt_torsion(configurations.rotation)
-    weights = values[index] * region / count
-    return OrientationWorkspace(configurations, weights, azimuth, tilt, torsion, volume)
+        volume = Estimate.from_hits(0, count, whole, CONFIDENCE, method, unit)
+    return OrientationWorkspace(found, weights * region / count, *tilt_torsion(found.rotation), volume)
 
 
 def tilt_torsion(rotation: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -16,12 +16,15 @@ from scipy.spatial import KDTree
 from spm_pin.errors import ArgumentError
 from spm_pin.formulas.leg_constants import TANGENT_SIGNS
 from spm_pin.formulas.stages import ANY_ASPECT, HOME_ASPECT
+from spm_pin.kinematics import stage_displacement
 from spm_pin.kinematics.batches import run_kernel
 from spm_pin.kinematics.forward_displacement import states_of_stages
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
-from spm_pin.machine import Configuration, LegLimits, Machine, Manipulator
+from spm_pin.machine import Configuration, LegLimits, Machine, Manipulator, StageConfiguration
+from spm_pin.machine.batched import Batched
 from spm_pin.machine.branch_of_state import FAMILIES, family, physical, stage_coordinates
-from spm_pin.machine.manipulator import check_manipulator
+from spm_pin.machine.configuration import Condition, check_condition
+from spm_pin.machine.machine import check_machine
 from spm_pin.support.arguments import (
     BoolArray,
     FloatArray,
@@ -37,8 +40,8 @@ CENTRE = np.zeros((1, 3))
 """The platform's centre o in {m}."""
 _HALF_TURN = np.array([-1.0, -1.0, 1.0])
 """Diagonal of the half turn about Z."""
-_UPWARD = np.array([1.0, -1.0])
-"""Sign of Z at home of each stage."""
+_UPWARD = {1: (0.0,), 2: (1.0, -1.0)}
+"""Sign of Z at home of each stage of a machine, by their number; a stage by itself may be on either side."""
 _SAMPLE, _SEED = 20_000, 20_140_131
 """Number of states in `StateSet.sample`, and the seed of the samples, fixed so that results repeat."""
 _TRIED, _FEW, _FEWEST = 48, 22, 6
@@ -73,43 +76,48 @@ class Stages:
 class StateSet:
     """The states of a machine in one family and one aspect, and a test of its limits."""
 
-    machine: Manipulator
+    machine: Any  # a Manipulator, or a Stage: its states have one stage, and no search takes them
     minimum: FloatArray
-    """Least readings (6,) [m], for RRS legs [rad]."""
+    """Least readings (legs,) [m], for RRS legs [rad]."""
     maximum: FloatArray
-    """Largest readings (6,), likewise."""
+    """Largest readings (legs,), likewise."""
     family: str = "TT"
     """The modes of the stages."""
-    aspects: tuple[float, float] = (HOME_ASPECT, HOME_ASPECT)
+    aspects: tuple[float, ...] = (HOME_ASPECT, HOME_ASPECT)
     """Aspects of the stages: 2 is the home assembly region, 1 and -1 a sign of the determinant, 0 any state."""
 
     @property
     def radius(self) -> float:
-        """The middle platform's radius r [m], the unit of heights."""
-        return self.machine.middle_radius
+        """The radius r of the triangle of balls [m], the unit of heights."""
+        return float(self.machine.stage_radii[0][1])
+
+    @property
+    def _upward(self) -> tuple[float, ...]:
+        """Sign of Z at home of each stage."""
+        return _UPWARD[len(self.aspects)]
 
     @property
     def size(self) -> float:
         """E + C + d and how far legs reach [m]: lengths are small or large in proportion to it."""
-        g, longest = self.machine, float(self._longest.max())
-        return float(g.base_radius + g.platform_radius + g.middle_side + (longest if np.isfinite(longest) else 0.0))
+        longest = float(self._longest.max())
+        return float(sum(self.machine.dimensions) + (longest if np.isfinite(longest) else 0.0))
 
     @cached_property
     def _longest(self) -> FloatArray:
-        """Largest distance of each ball from its leg's pivot (6,) [m]; infinite without limits."""
+        """Largest distance of each ball from its leg's pivot (legs,) [m]; infinite without limits."""
         with np.errstate(invalid="ignore"):
             reached = [self._circle_of(ends) for ends in (self.minimum, self.maximum)]
             longest = np.maximum(*(np.linalg.norm(centre, axis=-1) + radius for centre, radius in reached))
         return np.where(np.isnan(longest), np.inf, longest)
 
     def _circle_of(self, readings: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the centres (6, 3) from the pivots, and the radii (6,) of the balls' circles at readings (6,) [m]."""
+        """Return the centres (legs, 3) from the pivots, and the radii of the balls' circles at readings (legs,) [m]."""
         centres, radii = self.machine.legs.circles(readings)
         return centres - self.machine.legs.pivots, radii
 
     @cached_property
     def _turns(self) -> FloatArray:
-        """Diagonals (2, 3) of the turns that take each stage to mode T."""
+        """Diagonals (stages, 3) of the turns that take each stage to mode T."""
         return np.array([np.ones(3) if mode == "T" else _HALF_TURN for mode in self.family])
 
     @property
@@ -119,20 +127,20 @@ class StateSet:
 
     @cached_property
     def legs(self) -> FloatArray:
-        """Constants of both stages' legs for `kernels.stage_states`, (2, 3, 21); axes are tangents of the platforms."""
+        """Constants of the legs for `kernels.stage_states`, (stages, 3, 21); axes are tangents of the platforms."""
         legs = self.machine.legs
-        axes = np.tile(TANGENT_SIGNS, 2)[:, None] * legs.axes
+        axes = np.tile(TANGENT_SIGNS, len(legs.kinds))[:, None] * legs.axes
         balls = legs.balls * np.repeat(self._turns, 3, axis=0)
-        numbers = np.zeros((6, 6))
+        numbers = np.zeros((len(axes), 6))
         for stage, kind in enumerate(legs.kinds):
             rows, own = slice(3 * stage, 3 * stage + 3), kind.numbers
             numbers[rows, : own.shape[1]], numbers[rows, 4] = own, kind.number
         numbers[:, 3], numbers[:, 5] = legs.offsets, self.machine.crank_middles
-        return np.concatenate([axes, legs.pivots, balls, *legs.planes, numbers], axis=-1).reshape(2, 3, 21)
+        return np.concatenate([axes, legs.pivots, balls, *legs.planes, numbers], axis=-1).reshape(-1, 3, 21)
 
     @cached_property
     def _signed_aspects(self) -> FloatArray:
-        """The aspects for `kernels.stage_states`, (2,): that of the home is negative for a stage that hangs."""
+        """The aspects for `kernels.stage_states`, (stages,): that of the home is negative for a stage that hangs."""
         aspects, ups = np.array(self.aspects), self.machine.legs.ups[::3]
         return np.where(aspects == HOME_ASPECT, ups * aspects, aspects)
 
@@ -158,7 +166,7 @@ class StateSet:
         """Return the lower (0) or upper (1) stage at coordinates (N, 3), seen from {B} or {m}."""
         from spm_pin.kinematics.kernels.stage_states import INSIDE, SLOPE_NUMBERS, STAGE_NUMBERS, stage_states
 
-        constants = self.legs[stage], self.radius, float(_UPWARD[stage]), float(self._signed_aspects[stage])
+        constants = self.legs[stage], self.radius, self._upward[stage], float(self._signed_aspects[stage])
         results = ((STAGE_NUMBERS,), np.float64), ((SLOPE_NUMBERS, 3), np.float64), ((), np.int64)
         inputs = [np.require(coordinates, requirements=("C", "W"))]
         values, slopes, places = run_kernel(stage_states, inputs, constants, results, _MIN_BATCH)
@@ -172,15 +180,19 @@ class StateSet:
         return lower, upper, lower.rotation * self.mode_turn @ upper.rotation.mT
 
     def readings(self, coordinates: FloatArray) -> FloatArray:
-        """Return the readings (N, 6) at coordinates (N, 2, 3)."""
-        return np.concatenate([self.stages(k, coordinates[:, k]).readings for k in range(2)], axis=-1)
+        """Return the readings (N, legs) at coordinates (N, stages, 3)."""
+        stages = range(len(self.aspects))
+        return np.concatenate([self.stages(k, coordinates[:, k]).readings for k in stages], axis=-1)
 
-    def coordinates(self, states: Configuration) -> FloatArray:
-        """Return the coordinates (N, 2, 3) of states (N,); NaN in other families."""
+    def coordinates(self, states: Batched) -> FloatArray:
+        """Return the coordinates (N, stages, 3) of states (N,); NaN in other families."""
         return stage_coordinates(states, self.family) / [1.0, 1.0, self.radius]
 
-    def states(self, coordinates: FloatArray, readings: FloatArray | None = None) -> Configuration:
-        """Return the configurations (N,) at coordinates (N, 2, 3), with their readings (N, 6) if these are known."""
+    def states(self, coordinates: FloatArray, readings: FloatArray | None = None) -> Any:
+        """Return the states (N,) at coordinates (N, stages, 3), with their readings (N, 6) if these are known."""
+        if len(self.aspects) == 1:
+            stage = self.stages(0, coordinates[:, 0])
+            return StageConfiguration.from_arrays(self.machine, stage.rotation, stage.centre, stage.readings)
         lower, upper, rotation = self._both(coordinates)
         translation = lower.centre - (rotation @ upper.centre[..., None])[..., 0]
         balls = self.legs[0, :, 6:9] @ lower.rotation.mT + lower.centre[:, None]
@@ -192,7 +204,20 @@ class StateSet:
         """Return the positions of points `body` (K, 3) of the platform in {B} [m], (N, 3K)."""
         states = self.states(coordinates)
         moved = states.translation[:, None] + body @ states.rotation.mT
-        return moved.reshape(len(coordinates), 3 * len(body))
+        return np.asarray(moved.reshape(len(coordinates), 3 * len(body)))
+
+    def densities(self, coordinates: FloatArray) -> FloatArray:
+        """Return the volume of poses per volume of `coordinates` (N, 2, 3), each pose counted once, (N,) [m³ rad³].
+
+        For a stage that of heights and normals, [m sr], for coordinates (N, 1, 3).
+        """
+        if len(self.aspects) == 1:
+            # Turns about the platform's own x and y move its normal, and one about the normal does not.
+            stage = self.stages(0, coordinates[:, 0])
+            rates = np.concatenate([stage.velocities[:, 2:], stage.rotation[..., :2].mT @ stage.spins], axis=1)
+            return np.asarray(np.abs(np.linalg.det(rates)))
+        densities = np.abs(np.linalg.det(self.jacobians(coordinates)))
+        return np.asarray(densities / pose_multiplicity(self, self.states(coordinates)))
 
     def jacobians(self, coordinates: FloatArray) -> FloatArray:
         """Return the derivatives of o and of the rotation by the coordinates, (N, 6, 6) [m, rad]."""
@@ -245,7 +270,11 @@ class StateSet:
             # Z is the mean height of the balls, none of which is higher than its leg reaches; pivots are nearly level.
             top = self._longest[3 * stage : 3 * stage + 3].max() + np.abs(legs[:, 5]).max()
             top = (top + np.abs(legs[:, 8]).max()) / self.radius
-            half, centres = np.array([1.0, 1.0, 0.5 * top]), np.array([[0.0, 0.0, 0.5 * _UPWARD[stage] * top]])
+            upward = self._upward[stage]
+            half, centres = (
+                np.array([1.0, 1.0, 0.5 * top if upward else top]),
+                np.array([[0.0, 0.0, 0.5 * upward * top]]),
+            )
             for _ in range(_HALVINGS):
                 half = 0.5 * half
                 centres = self._near(stage, (centres[:, None] + half * corners).reshape(-1, 3), half)
@@ -290,13 +319,20 @@ class StateSet:
         within = self.admits(stages.readings, legs) & (rooms > 0.0)
         return np.asarray(np.where(within, 0.0, np.minimum.reduce(distances)).max(axis=-1))
 
-    def draw_stages(self, stage: int, count: int, rng: np.random.Generator) -> tuple[FloatArray, float]:
+    def draw_stages(
+        self, stage: int, count: int, rng: np.random.Generator, height: float | None = None
+    ) -> tuple[FloatArray, float]:
         """Draw `count` states of a stage uniformly: coordinates (count, 3), and an estimate of the set's volume.
 
         Fewer, or none, where the set is empty or too small to be hit. The estimate has no bias, and a relative variance
-        of at most 1/count.
+        of at most 1/count. With a `height`, Z/r, states have it, and the estimate is that of the area of (x, y).
         """
         centres, half = self._covers[stage]
+        if height is not None:
+            # Boxes that touch in a plane would both be met by a height in it.
+            below = height - centres[:, 2]
+            centres, half = centres[(below >= -half[2]) & (below < half[2])].copy(), half * [1.0, 1.0, 0.0]
+            centres[:, 2] = height
         parts, drawn, tried = [np.empty((0, 3))], 0, 0
         while drawn < count and len(centres) and tried < max(_LEAST_TRIED, 1000 * count):
             number = min(_DRAWN_TOGETHER, 8 * count + 100)
@@ -307,40 +343,42 @@ class StateSet:
             # Counted up to the last that is needed: that makes the estimate of the share unbiased.
             tried += int(place[-1]) + 1 if drawn == count else number
         share = (drawn - 1) / (tried - 1) if drawn == count > 1 else drawn / max(tried, 1)
-        return np.concatenate(parts), share * float(len(centres) * (2.0 * half).prod())
+        return np.concatenate(parts), share * float(len(centres) * (2.0 * half[: 3 if height is None else 2]).prod())
 
     def draw(self, count: int, rng: np.random.Generator) -> FloatArray:
-        """Draw states uniformly in the coordinates of both stages, (count, 2, 3)."""
-        return np.stack([self.draw_stages(stage, count, rng)[0] for stage in range(2)], axis=1)
+        """Draw states uniformly in the coordinates of all stages, (count, stages, 3)."""
+        return np.stack([self.draw_stages(stage, count, rng)[0] for stage in range(len(self.aspects))], axis=1)
 
     def draw_in_readings(self, count: int, rng: np.random.Generator) -> FloatArray:
-        """Draw `count` sets of readings uniformly; return the coordinates of the states among them, (n, 2, 3).
+        """Draw `count` sets of readings uniformly; return the coordinates of the states among them, (n, stages, 3).
 
-        The legs of the two stages are independent: each stage is drawn by itself.
+        The legs of two stages are independent: each stage is drawn by itself.
         """
-        lower, upper = self._stages_in_readings(count, rng)
-        number = min(len(lower), len(upper))
-        return np.stack([lower[:number], upper[:number]], axis=1)
+        stages = self._stages_in_readings(count, rng)
+        number = min(map(len, stages))
+        return np.stack([stage[:number] for stage in stages], axis=1)
 
-    def _stages_in_readings(self, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-        """Draw `count` sets of readings; return coordinates of the lower stages (n, 3) and upper ones that exist."""
-        drawn = rng.uniform(self.minimum, self.maximum, (count, 6))
-        states, (first, second) = states_of_stages(self.machine, drawn)
-        coordinates = self.coordinates(states)
-        return coordinates[:first, 0], coordinates[:second, 1]
+    def _stages_in_readings(self, count: int, rng: np.random.Generator) -> list[FloatArray]:
+        """Draw `count` sets of readings; return the coordinates (n, 3) of those of each stage that exist."""
+        drawn = rng.uniform(self.minimum, self.maximum, (count, len(self.minimum)))
+        if len(self.aspects) == 1:
+            states = stage_displacement.forward_physical(self.machine, drawn)
+            return [self.coordinates(states[states.exists])[:, 0]]
+        both, numbers = states_of_stages(self.machine, drawn)
+        coordinates = self.coordinates(both)
+        return [coordinates[:number, stage] for stage, number in enumerate(numbers)]
 
     @cached_property
-    def few(self) -> tuple[FloatArray, FloatArray]:
-        """Few states of each stage within the limits, (n, 3) and (m, 3), always the same, in the home assembly region.
+    def few(self) -> list[FloatArray]:
+        """Few states of each stage within the limits, (n, 3), always the same, in the home assembly region.
 
         Each state of the lower stage is combined with each of the upper one. None if the set is empty.
         """
         rng = np.random.default_rng(_SEED)
-        lower, upper = self._stages_in_readings(_TRIED, rng)
-        if min(len(lower), len(upper)) < _FEWEST:
-            lower, upper = (self.draw_stages(stage, _FEW, rng)[0] for stage in range(2))
-        lower, upper = lower[:_FEW], upper[:_FEW]
-        return lower, upper
+        stages = self._stages_in_readings(_TRIED, rng)
+        if min(map(len, stages)) < _FEWEST:
+            stages = [self.draw_stages(stage, _FEW, rng)[0] for stage in range(len(stages))]
+        return [stage[:_FEW] for stage in stages]
 
     def pairs_of_few(self, body: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the states (N, 2, 3) of all pairs of `few`, and where they put points `body` (K, 3) [m], (N, 3K)."""
@@ -362,12 +400,6 @@ class StateSet:
         return KDTree(self.positions(self.sample))
 
 
-def pose_densities(states: StateSet, coordinates: FloatArray) -> FloatArray:
-    """Return the volume of poses per volume of `coordinates` (N, 2, 3), each pose counted once, (N,) [m³ rad³]."""
-    densities = np.abs(np.linalg.det(states.jacobians(coordinates)))
-    return np.asarray(densities / pose_multiplicity(states, states.states(coordinates)))
-
-
 def pose_multiplicity(states: StateSet, configurations: Configuration) -> IntArray:
     """Return how many physical states within the limits have the pose of each of `configurations` (N,), (N,)."""
     branches = inverse_displacement(states.machine, configurations.pose).configurations
@@ -376,21 +408,19 @@ def pose_multiplicity(states: StateSet, configurations: Configuration) -> IntArr
     return np.asarray(np.maximum((physical(branches) & within).sum(axis=-1), 1), dtype=np.intp)
 
 
-def given_limits(machine: Manipulator, limits: LegLimits | None) -> LegLimits | None:
-    """Return leg limits, or those of the manipulator, which may have none."""
-    check_manipulator(machine)
+def given_limits(machine: Machine, limits: LegLimits | None) -> LegLimits | None:
+    """Return leg limits, or those of the machine, which may have none."""
+    check_machine(machine)
     return machine.limits if limits is None else machine.check_limits(limits)
 
 
-def finite_limits(machine: Manipulator, limits: LegLimits | None) -> LegLimits:
-    """Return leg limits, or those of the manipulator, which have to be finite."""
-    return check_finite(machine, given_limits(machine, limits))
-
-
-def check_finite(machine: Machine, limits: LegLimits | None) -> LegLimits:
-    """Return limits of a machine, or raise `ArgumentError` if one is missing."""
+def finite_limits(machine: Machine, limits: LegLimits | None) -> LegLimits:
+    """Return leg limits, or those of the machine; raises `ArgumentError` if one is missing or infinite."""
+    limits = given_limits(machine, limits)
     if limits is None:
-        raise ArgumentError("limits", "LegLimits(minimum, maximum) in metres", None, "The machine has none of its own")
+        raise ArgumentError(
+            "limits", f"{machine.limits_class.__name__}(minimum, maximum)", None, "The machine has none of its own"
+        )
     for leg, ends in zip(machine.legs.names, zip(limits.minimum, limits.maximum, strict=True), strict=True):
         if not np.isfinite(ends).all():
             expected = "a finite minimum and maximum for every leg"
@@ -398,16 +428,17 @@ def check_finite(machine: Machine, limits: LegLimits | None) -> LegLimits:
     return limits
 
 
-def states_within(machine: Manipulator, limits: LegLimits | None = None) -> StateSet:
+def states_within(machine: Machine, limits: LegLimits | None = None) -> StateSet:
     """Return the physical states within `limits`, or within those of `machine`; these have to be finite."""
     return _checked(machine, finite_limits(machine, limits))
 
 
 @lru_cache(maxsize=8)
-def _checked(machine: Manipulator, limits: LegLimits) -> StateSet:
+def _checked(machine: Machine, limits: LegLimits) -> StateSet:
     # A leg whose length is zero has no direction.
     maximum, least = np.array(limits.maximum), np.array(machine.legs.free_limits.minimum)
-    states = StateSet(machine, np.maximum(limits.minimum, least + 1e-6 * np.abs(maximum)), maximum)
+    minimum, stages = np.maximum(limits.minimum, least + 1e-6 * np.abs(maximum)), len(machine.stage_radii)
+    states = StateSet(machine, minimum, maximum, "T" * stages, (HOME_ASPECT,) * stages)
     if not all(map(len, states.few)):
         received = f"{limits!r}, which reach no pose"
         cause = "Too short to join the platforms, too different from each other, or in another unit?"
@@ -439,25 +470,30 @@ def free_states(machine: Manipulator, modes: str) -> StateSet:
 
 
 def sample_reachable(
-    machine: Manipulator,
+    machine: Machine,
     count: int,
     limits: LegLimits | None = None,
     *,
     space: Literal["legs", "poses"] = "legs",
+    where: Condition | None = None,
     rng: np.random.Generator | int | None = None,
     progress: Progress | None = None,
-) -> Configuration:
+) -> Any:
     """Draw random physical states within leg limits.
 
     Parameters
     ----------
-    machine, limits
-        As for `reachable_boundary`.
+    machine : Manipulator or Stage
+        The machine.
+    limits : LegLimits, optional
+        Leg limits; the machine's own if not given.
     count : int
         How many.
     space : str
         "legs": uniform in the readings that belong to a configuration. "poses": uniform in the reachable poses, with
-        the volume of positions times the uniform measure of rotations.
+        the volume of positions times the uniform measure of rotations; for a stage in the heights and normals.
+    where : callable, optional
+        Takes states (n,) and returns which of them count, (n,), such as `JointLimits`; all if not given.
     rng : Generator or int, optional
         Source of randomness, or its seed.
     progress : callable, optional
@@ -465,7 +501,7 @@ def sample_reachable(
 
     Returns
     -------
-    Configuration
+    Configuration or StageConfiguration
         Of shape (count,).
 
     Notes
@@ -477,7 +513,7 @@ def sample_reachable(
     count = whole_number(count, "count")
     choice(space, "space", ("legs", "poses"))
     states, rng, report = states_within(machine, limits), generator(rng), shown_progress(progress)
-    parts, largest, kept = [np.empty((0, 2, 3))], 0.0, 0
+    parts, largest, kept = [np.empty((0, len(states.aspects), 3))], 0.0, 0
     for _ in range(_MOST_CHUNKS):
         report("reachable states", min(kept, count), count)
         if kept >= count:
@@ -487,11 +523,13 @@ def sample_reachable(
             parts.append(states.draw_in_readings(number, rng))
         else:
             coordinates = states.draw(number, rng)
-            density = pose_densities(states, coordinates)
+            density = states.densities(coordinates)
             if density.max() > largest:
                 # A bound that a later sample will hardly exceed.
                 parts, largest = [parts[0]], 1.2 * float(density.max())
             parts.append(coordinates[rng.uniform(size=number) * largest < density])
+        if where is not None:
+            parts[-1] = parts[-1][check_condition(where, states.states(parts[-1]))]
         kept = sum(len(part) for part in parts)
     else:
         raise ArgumentError(

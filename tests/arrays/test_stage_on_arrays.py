@@ -18,7 +18,7 @@ from spm_pin import arrays
 def test_states_are_those_of_the_kernel(machine: str) -> None:
     stage, height = stage_and_height(machine)
     normals, heights = requests(height, 300)
-    expected = spm.stages.inverse(stage, heights, normal=normals)["T"]
+    expected = spm.inverse_displacement(stage, heights, normal=normals)["T"]
     found = arrays.stage_inverse(stage, normals, heights)
     np.testing.assert_array_equal(found.exists, expected.exists)
     for name in ("rotation", "translation", "readings"):
@@ -41,7 +41,7 @@ def test_a_strict_library_and_a_platform_turned_over() -> None:
     stage, height = stage_and_height("RRS")
     found = arrays.stage_inverse(stage, strict.asarray([0.0, 0.0, 1.0]), strict.asarray(height))
     assert bool(found.exists)
-    expected = spm.stages.inverse_physical(stage, height).readings
+    expected = spm.inverse_physical(stage, height).readings
     np.testing.assert_allclose(np.asarray(found.readings), expected, atol=1e-15)
     none = arrays.stage_inverse(stage, np.array([0.0, 0.0, 1.0]), np.array(np.nan))
     assert not none.exists.any()
@@ -52,13 +52,13 @@ def test_a_strict_library_and_a_platform_turned_over() -> None:
 def test_normals_of_any_length_have_the_state_of_the_unit_normal(machine: str) -> None:
     stage, height = stage_and_height(machine)
     normals, heights = requests(height, 50)
-    expected = spm.stages.inverse_physical(stage, heights, normal=normals)
+    expected = spm.inverse_physical(stage, heights, normal=normals)
     own = expected.exists
     assert own.sum() > 20
     function = spm.casadi.stage_inverse(stage).map(len(heights))
     for length in (1e-300, 1e-8, 0.9, 3.0, 1e300):
         asked = length * normals
-        python = spm.stages.inverse_physical(stage, heights, normal=asked)
+        python = spm.inverse_physical(stage, heights, normal=asked)
         found = arrays.stage_inverse(stage, asked, heights)
         readings, rotation, *_ = map(np.array, function(asked.T, heights))
         rotation = rotation.reshape(3, -1, 3).swapaxes(0, 1)
@@ -89,10 +89,10 @@ def test_normals_that_are_none_have_no_state() -> None:
         derivatives = jacobian(normal, height, *outputs)
         assert all(np.isfinite(np.array(x)).all() for x in (*outputs, *derivatives))
     with pytest.raises(spm.ArgumentError) as caught:
-        spm.stages.inverse(stage, height, normal=[[0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
+        spm.inverse_displacement(stage, height, normal=[[0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
     assert caught.value.argument == "normal"
     assert "(1,)" in caught.value.received
-    assert not spm.stages.inverse(stage, height, normal=[0.0, 0.0, -1.0]).configurations.exists.any()
+    assert not spm.inverse_displacement(stage, height, normal=[0.0, 0.0, -1.0]).configurations.exists.any()
 
 
 @pytest.mark.parametrize("machine", ["RPS", "RPS as built"])
@@ -126,16 +126,16 @@ def test_platforms_turned_over_are_right_or_do_not_exist(machine: str) -> None:
 def test_derivatives_are_the_rates_of_the_legs(machine: str) -> None:
     stage, height = stage_and_height(machine)
     normals, heights = requests(height, 8, seed=3)
-    states = spm.stages.inverse_physical(stage, heights, normal=normals)
+    states = spm.inverse_physical(stage, heights, normal=normals)
 
     def readings(normal: jax.Array, z: jax.Array) -> jax.Array:
         return arrays.stage_inverse(stage, normal, z).readings
 
     by_normal, by_height = jax.vmap(jax.jacfwd(readings, (0, 1)))(jnp.asarray(normals), jnp.asarray(heights))
     # ω_x and ω_y, with the parasitic ω_z that goes with them, move the normal by ω x n.
-    parasitic = spm.stages.parasitic_jacobian(states)
+    parasitic = spm.kinematics.parasitic_jacobian(states)
     turns = np.swapaxes(np.cross(parasitic[:, 3:].swapaxes(1, 2), normals[:, None]), 1, 2)
-    expected = spm.stages.inverse_jacobian(states)
+    expected = spm.inverse_jacobian(states)
     found = np.asarray(by_normal) @ turns + np.asarray(by_height)[..., None] * parasitic[:, 2:3]
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
     function = spm.casadi.stage_inverse(stage)
@@ -150,8 +150,8 @@ def test_readings_lead_to_the_states_of_the_kernel(machine: str) -> None:
     stage, height = stage_and_height(machine)
     states = existing_states(stage, height, 300)
     shown = states.readings.copy()
-    before = spm.stages.inverse_physical(stage, states.height, normal=[0.0, 0.0, 1.0])
-    middle = spm.stages.forward_physical(stage, 0.9 * shown + 0.1 * before.readings)
+    before = spm.inverse_physical(stage, states.height, normal=[0.0, 0.0, 1.0])
+    middle = spm.forward_physical(stage, 0.9 * shown + 0.1 * before.readings)
     near = arrays.StageState(middle.rotation, middle.translation, middle.readings, middle.exists)
     assert near.exists.mean() > 0.99
     for start, begins in ((None, True), (near, near.exists)):
@@ -166,7 +166,7 @@ def test_readings_lead_to_the_states_of_the_kernel(machine: str) -> None:
     shown[:2] = [[np.nan, 1.0, 1.0], [1e12, 1.0, 1.0]]
     found = arrays.stage_forward(stage, shown)
     assert not found.exists[:2].any()
-    expected = spm.stages.forward_physical(stage, shown[2:])
+    expected = spm.forward_physical(stage, shown[2:])
     assert 0 < expected.exists.sum() < len(shown)
     np.testing.assert_array_equal(found.exists[2:], expected.exists)
     real = found.exists
@@ -189,7 +189,7 @@ def test_readings_lead_to_the_states_of_the_kernel_in_casadi(machine: str) -> No
             np.testing.assert_allclose(rotation, state.rotation, rtol=0, atol=1e-12)
             np.testing.assert_allclose(np.array(position)[:, 0], state.translation, rtol=0, atol=1e-12)
         derivatives = jacobian(state.readings, *forward(state.readings))
-        expected = spm.stages.platform_jacobian(state)
+        expected = spm.kinematics.platform_jacobian(state)
         scale = np.abs(expected).max()
         np.testing.assert_allclose(derivatives[1], expected[:3], rtol=0, atol=1e-9 * scale)
         turns = np.array(derivatives[0]).reshape(3, 3, 3).swapaxes(0, 1)
@@ -197,22 +197,22 @@ def test_readings_lead_to_the_states_of_the_kernel_in_casadi(machine: str) -> No
         found = np.stack([spins[2, 1], spins[0, 2], spins[1, 0]])
         np.testing.assert_allclose(found, expected[3:], rtol=0, atol=1e-9 * scale)
     without = states[0].readings + 2.0 * (1.0 if stage.unit == "rad" else stage.size)
-    assert forward(without)[3] == spm.stages.forward_physical(stage, without).exists
+    assert forward(without)[3] == spm.forward_physical(stage, without).exists
 
 
 @pytest.mark.parametrize("turns", [-2, 2])
 def test_cranks_turned_by_more_than_a_turn_are_taken_for_degrees(turns: int) -> None:
     """The same places of the cranks, which was the answer."""
     stage, height = stage_and_height("RRS")
-    shown = spm.stages.inverse_physical(stage, height, roll=0.1).readings
+    shown = spm.inverse_physical(stage, height, roll=0.1).readings
     wound = shown + 2.0 * np.pi * turns
     for once in (shown - 2.0 * np.pi, shown):
-        assert spm.stages.forward_physical(stage, once).exists
+        assert spm.forward_physical(stage, once).exists
         assert arrays.stage_forward(stage, once).exists
         assert spm.casadi.stage_forward(stage)(once)[3] == 1.0
     assert not arrays.stage_forward(stage, wound).exists
     assert spm.casadi.stage_forward(stage)(wound)[3] == 0.0
-    for solve in (spm.stages.forward, spm.stages.forward_physical):
+    for solve in (spm.forward_displacement, spm.forward_physical):
         with pytest.raises(spm.ArgumentError, match=r"angles in radians within ±6\.3 for r_1, got .*In degrees"):
             solve(stage, wound)
 
@@ -222,7 +222,7 @@ def test_cranks_turned_by_more_than_a_turn_are_taken_for_degrees(turns: int) -> 
 def test_derivatives_by_readings_are_the_motion_of_the_platform(machine: str) -> None:
     stage, height = stage_and_height(machine)
     normals, heights = requests(height, 8, seed=3)
-    states = spm.stages.inverse_physical(stage, heights, normal=normals)
+    states = spm.inverse_physical(stage, heights, normal=normals)
 
     def pose(readings: jax.Array) -> tuple[jax.Array, ...]:
         return tuple(arrays.stage_forward(stage, readings))[:2]
@@ -230,10 +230,10 @@ def test_derivatives_by_readings_are_the_motion_of_the_platform(machine: str) ->
     turns, velocities = map(np.asarray, jax.jit(jax.vmap(jax.jacfwd(pose)))(jnp.asarray(states.readings)))
     spins = np.einsum("nijk,nlj->nilk", turns, states.rotation)
     found = np.stack([*np.moveaxis(velocities, 1, 0), spins[:, 2, 1], spins[:, 0, 2], spins[:, 1, 0]], axis=1)
-    expected = spm.stages.platform_jacobian(states)
+    expected = spm.kinematics.platform_jacobian(states)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
     # And by finite differences of the compiled kernel.
     step = 1e-6 * stage.size * np.eye(3)
-    ahead, behind = (spm.stages.forward_physical(stage, states.readings[:, None] + x) for x in (step, -step))
+    ahead, behind = (spm.forward_physical(stage, states.readings[:, None] + x) for x in (step, -step))
     differences = (ahead.translation - behind.translation) / (2e-6 * stage.size)
     np.testing.assert_allclose(velocities.swapaxes(1, 2), differences, rtol=1e-6, atol=1e-8)

@@ -53,7 +53,7 @@ def true_and_plan(kind: str, count: int = 60) -> tuple[spm.Stage, spm.Stage, np.
     nominal = LIMITED[kind]
     true = nominal.perturbed(4, length=1e-3 * nominal.platform_radius, angle=1e-3)
     rng = np.random.default_rng(2)
-    states = spm.stages.forward_physical(true, rng.uniform(*nominal.limits.ends, (count, 3)))
+    states = spm.forward_physical(true, rng.uniform(*nominal.limits.ends, (count, 3)))
     states = states[states.exists]
     assert len(states) > 0.8 * count
     return nominal, true, states.readings, states.pose.as_matrix()
@@ -63,7 +63,7 @@ def true_and_plan(kind: str, count: int = 60) -> tuple[spm.Stage, spm.Stage, np.
 def test_errors_of_all_parameters_move_the_platform_as_its_displacement_says(machine: str) -> None:
     stage, height = stage_and_height(machine)
     states = existing_states(stage, height, 12)
-    states = states[spm.stages.singularities(states).forward > 0.1]
+    states = states[spm.singularities(states).forward > 0.1]
     assert len(states) > 5
     jacobian = error_jacobian(states)
     assert jacobian.shape == (len(states), 6, len(stage.parameter_names))
@@ -71,7 +71,7 @@ def test_errors_of_all_parameters_move_the_platform_as_its_displacement_says(mac
     for k, unit in enumerate(1e-6 * parameter_scale(stage)):
         step = np.where(np.arange(jacobian.shape[-1]) == k, unit, 0.0)
         first, last = (
-            spm.stages.forward_physical(other, states.readings, near=_state_of(other, states))
+            spm.forward_physical(other, states.readings, near=_state_of(other, states))
             for other in (stage.from_parameters(stage.parameters + s * step) for s in (1, -1))
         )
         turn = Rotation.from_matrix(first.rotation @ last.rotation.mT).as_rotvec()
@@ -80,9 +80,9 @@ def test_errors_of_all_parameters_move_the_platform_as_its_displacement_says(mac
         np.testing.assert_allclose(moved, exact, atol=1e-7 * np.abs(exact).max() + 1e-14)
 
 
-def _state_of(stage: spm.Stage, near: spm.stages.StageConfiguration) -> spm.stages.StageConfiguration:
+def _state_of(stage: spm.Stage, near: spm.machine.StageConfiguration) -> spm.machine.StageConfiguration:
     """States of another stage with the tilts and heights of `near`, in the same mode."""
-    solutions = spm.stages.inverse(stage, near.height, normal=near.normal)
+    solutions = spm.inverse_displacement(stage, near.height, normal=near.normal)
     return solutions.configurations[:, 0]
 
 
@@ -158,7 +158,7 @@ def test_a_stage_is_identified_from_what_is_measured(kind: str, measured: str) -
     assert len(found.unidentifiable) == hidden
     assert len(found.unidentifiable) + len(found.deviations) == len(nominal.parameter_names)
     other = np.random.default_rng(5).uniform(*nominal.limits.ends, (60, 3))
-    before, after, exact = (spm.stages.forward_physical(x, other) for x in (nominal, found.machine, true))
+    before, after, exact = (spm.forward_physical(x, other) for x in (nominal, found.machine, true))
     known = exact.exists & before.exists
     errors = [np.abs(np.stack(imu_and_ruler(x.pose.as_matrix()[known])) - imu_and_ruler(exact.pose.as_matrix()[known]))
               for x in (before, after)]  # fmt: skip
@@ -189,7 +189,7 @@ def test_the_base_s_tilt_and_the_imu_s_mounting_are_estimated_with_the_stage(kin
     assert len(found.unidentifiable) == 12 + 3 * (kind == "PRS")
     assert found.names[-9:] == ("base.z", "base.turn_x", "base.turn_y", *FRAME_PARAMETERS[6:])
     other = np.random.default_rng(5).uniform(*nominal.limits.ends, (60, 3))
-    states, exact = (spm.stages.forward_physical(x, other) for x in (found.machine, true))
+    states, exact = (spm.forward_physical(x, other) for x in (found.machine, true))
     known = exact.exists & states.exists
     predicted = found.base.as_matrix() @ states.pose.as_matrix()[known] @ found.target.as_matrix()
     np.testing.assert_allclose(
@@ -208,7 +208,7 @@ def test_a_balancer_is_predicted_as_well_as_its_covariance_says(seed: int) -> No
     plan = calibration.choose_poses(
         nominal, 40, parameters=known, measured="inclinations", pose_noise=(5e-4, 2e-3), reading_noise=1e-3, rng=rng
     )
-    states = spm.stages.forward_physical(true, plan.readings)
+    states = spm.forward_physical(true, plan.readings)
     states = states[states.exists]
     noise = np.array([2e-3, 2e-3, 5e-4])[:, None] * rng.standard_normal((3, len(states)))
     shown = Inclinations(*(imu_and_ruler(states.pose.as_matrix()) + noise))
@@ -218,8 +218,8 @@ def test_a_balancer_is_predicted_as_well_as_its_covariance_says(seed: int) -> No
     difference = (found.machine.parameters - true.parameters)[wanted]
     own = found.covariance[np.ix_(wanted, wanted)]
     assert difference @ np.linalg.solve(own, difference) < 28.0  # 99.9 % of χ² with nine freedoms
-    places = spm.stages.inverse_physical(true, 0.12, tilt=0.15, azimuth=np.linspace(0.0, 6.0, 20))
-    predicted = spm.stages.forward_physical(found.machine, places.readings)
+    places = spm.inverse_physical(true, 0.12, tilt=0.15, azimuth=np.linspace(0.0, 6.0, 20))
+    predicted = spm.forward_physical(found.machine, places.readings)
     turn = Rotation.from_matrix(predicted.rotation @ places.rotation.mT).as_rotvec()
     spread = np.sqrt(np.diagonal(found.accuracy(places), axis1=-2, axis2=-1))
     ratio = np.concatenate([turn / spread[:, 3:], (predicted.translation - places.translation) / spread[:, :3]])
@@ -297,7 +297,7 @@ def test_what_are_no_inclinations_is_refused(fields: dict[str, Any], argument: s
 def test_another_nominal_stage_is_named() -> None:
     nominal = LIMITED["RRS"]
     other = spm.Stage(0.08, 0.095, nominal.kind, nominal.limits)
-    states = spm.stages.forward_physical(other, true_and_plan("RRS")[2])
+    states = spm.forward_physical(other, true_and_plan("RRS")[2])
     states = states[states.exists]
     found = identify(nominal, states.pose, states.readings, parameters=["ball", "offset"])
     assert found.status == "another nominal"

@@ -10,20 +10,20 @@ from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 from spm_pin.capability import acceleration_polytope, joint_reactions, velocity_polytope, wrench_polytope
-from spm_pin.stages import MOTION
+from spm_pin.kinematics import MOTION
 
 LIMITS = np.array([[-3.0, -4.0, -5.0], [6.0, 5.0, 7.0]])
 LOAD = np.array([0.5, -0.2, -3.0, 0.02, -0.03, 0.01])
 
 
-def states_of(machine: str) -> spm.stages.StageConfiguration:
+def states_of(machine: str) -> spm.machine.StageConfiguration:
     stage, height = stage_and_height(machine)
     states = existing_states(stage, height, 40)
     singular = spm.singularities(states)
     return states[(singular.forward > 0.1) & (singular.leg.min(axis=-1) > 0.2)][:6]
 
 
-def extent(state: spm.stages.StageConfiguration, direction: np.ndarray, axial: float) -> float:
+def extent(state: spm.machine.StageConfiguration, direction: np.ndarray, axial: float) -> float:
     """Return the largest multiple of a wrench that efforts and axial forces balance, LOAD besides; inf without end."""
     matrix = np.column_stack([equilibrium(state), direction])
     scale = np.abs(matrix).max(axis=-1)
@@ -48,7 +48,7 @@ def test_the_wrenches_held_are_those_of_linear_programmes(machine: str) -> None:
 @pytest.mark.parametrize("machine", MACHINES)
 def test_reactions_are_what_the_joints_carry(machine: str) -> None:
     states = states_of(machine)
-    reactions, loads = joint_reactions(states), spm.stages.joint_loads(states, LOAD)
+    reactions, loads = joint_reactions(states), spm.kinematics.joint_loads(states, LOAD)
     np.testing.assert_allclose(reactions.axial @ LOAD, loads.across, atol=1e-9)
     sizes = np.abs((reactions.ball @ LOAD).reshape(len(states), 3, 8)).max(axis=-1)
     forces = np.linalg.norm(loads.balls, axis=-1)
@@ -56,12 +56,12 @@ def test_reactions_are_what_the_joints_carry(machine: str) -> None:
     assert (sizes <= forces * 1.02 + 1e-9).all()
 
 
-def after(states: spm.stages.StageConfiguration, twists: np.ndarray) -> spm.stages.StageConfiguration:
+def after(states: spm.machine.StageConfiguration, twists: np.ndarray) -> spm.machine.StageConfiguration:
     """Return the states displaced and turned by twists (N, 6) times a short time."""
     poses = states.pose.as_matrix().copy()
     poses[:, :3, :3] = Rotation.from_rotvec(STEP * twists[:, 3:]).as_matrix() @ poses[:, :3, :3]
     poses[:, :3, 3] += STEP * twists[:, :3]
-    return spm.stages.StageConfiguration(states.stage, poses)
+    return spm.machine.StageConfiguration(states.stage, poses)
 
 
 @pytest.mark.parametrize("machine", MACHINES)
@@ -70,7 +70,7 @@ def test_at_the_corners_of_the_motions_differences_of_readings_are_at_their_limi
     corners = velocity_polytope(states, LIMITS).vertices
     assert corners.shape == (len(states), 8, 3)
     for number in range(8):
-        twists = (spm.stages.parasitic_jacobian(states) @ corners[:, number, :, None])[..., 0]
+        twists = (spm.kinematics.parasitic_jacobian(states) @ corners[:, number, :, None])[..., 0]
         rates = (after(states, twists).readings - after(states, -twists).readings) / (2.0 * STEP)
         expected = LIMITS[[number >> leg & 1 for leg in range(3)], range(3)]
         np.testing.assert_allclose(rates, np.tile(expected, (len(states), 1)), atol=1e-5)
@@ -95,7 +95,7 @@ def test_accelerations_take_the_efforts_of_newton_s_second_law(machine: str) -> 
     states = states_of(machine)
     plate = np.diag([2.0, 2.0, 2.0, 0.01, 0.012, 0.02])
     weight = np.array([0.0, 0.0, -2.0 * 9.81, 0.0, 0.0, 0.0])
-    parasitic = spm.stages.parasitic_jacobian(states)
+    parasitic = spm.kinematics.parasitic_jacobian(states)
     mass, load = parasitic.mT @ plate @ parasitic, (parasitic.mT @ weight[:, None])[..., 0]
     quick = acceleration_polytope(states, 40.0 * LIMITS, mass, load)
     for number, accelerations in ((0, quick.vertices[:, 0]), (7, quick.vertices[:, 7])):
@@ -109,7 +109,7 @@ def test_accelerations_take_the_efforts_of_newton_s_second_law(machine: str) -> 
 
 
 def test_a_level_tripod_lifts_three_times_what_a_leg_pushes() -> None:
-    level = spm.stages.inverse_physical(spm.Stage(0.2, 0.2), 0.5)
+    level = spm.inverse_physical(spm.Stage(0.2, 0.2), 0.5)
     held = wrench_polytope(level, 100.0)
     assert held.extent([0, 0, -1, 0, 0, 0]) == pytest.approx(300.0)
     assert held.ball("linear") == pytest.approx(300.0)

@@ -168,7 +168,7 @@ def balancer(tmp_path_factory: pytest.TempPathFactory) -> tuple[spm.Stage, Path]
     parameters[8::9][:3] += [0.05, -0.03, 0.02]
     built = spm.Stage.from_data(BALANCER).from_parameters(parameters)
     readings = np.random.default_rng(3).uniform(-0.5, 1.0, (40, 3))
-    states = spm.stages.forward_physical(built, readings)
+    states = spm.forward_physical(built, readings)
     states = states[states.exists]
     roll, pitch, _ = states.pose.rotation.as_euler("xyz").T
     rows = zip(roll, pitch, states.height, *states.readings.T, strict=True)
@@ -200,7 +200,7 @@ def test_a_stage_is_identified_and_written(balancer: tuple[spm.Stage, Path], tmp
     np.testing.assert_allclose(found.legs.offsets, built.legs.offsets, atol=1e-5)
     assert figure.stat().st_size > 10_000
     again = run("stage", "forward", "--stage", out, "--readings", "20", "30", "10", "--json")
-    state = spm.stages.forward_physical(built, np.radians([20, 30, 10]))
+    state = spm.forward_physical(built, np.radians([20, 30, 10]))
     assert json.loads(again.stdout)["modes"][0]["tilt"] == pytest.approx(np.degrees(state.tilt), abs=1e-3)
     frames = json.loads(run(*command, "--stage", out, "--frames", "--json").stdout)
     assert (frames["status"], frames["identified"]) == ("fits", 12)

@@ -19,7 +19,7 @@ STAGE = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11))
 def test_readings_of_a_tilt_and_the_way_back() -> None:
     done = run("stage", "inverse", *SIZES, "--height", "120", "--roll", "8", "--pitch", "-5", "--json")
     content = json.loads(done.stdout)
-    expected = spm.stages.inverse_physical(STAGE, 0.12, roll=np.radians(8), pitch=np.radians(-5))
+    expected = spm.inverse_physical(STAGE, 0.12, roll=np.radians(8), pitch=np.radians(-5))
     (mode,) = content["modes"]
     assert (
         "for a tilt of 9.43° towards"
@@ -67,7 +67,7 @@ def test_the_nearest_tilt_is_reached_as_printed_where_the_level_platform_is_not(
     wanted: tuple[str, str], tmp_path: Path
 ) -> None:
     stage = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11))
-    middle = spm.stages.inverse_physical(stage, 0.12, tilt=0.45, azimuth=0.5).readings
+    middle = spm.inverse_physical(stage, 0.12, tilt=0.45, azimuth=0.5).readings
     file, limits = tmp_path / "tilted.yaml", spm.machine.StageLimits(middle - 0.1, middle + 0.1)
     spm.Stage(0.08, 0.09, stage.kind, limits).to_yaml(file)
     done = run("stage", "inverse", "--stage", file, "--height", "0.12", "--tilt", wanted[0], "--azimuth", wanted[1])
@@ -93,13 +93,13 @@ def test_a_file_a_reach_and_pictures(tmp_path: Path) -> None:
     stage.to_yaml(tmp_path / "head.yaml")
     file = ["--stage", str(tmp_path / "head.yaml")]
     content = json.loads(run("stage", "reach", *file, "--directions", "12", "--json").stdout)
-    np.testing.assert_allclose(content["height_range"], spm.stages.height_range(stage))
-    expected = spm.stages.reach(stage, directions=12)
+    np.testing.assert_allclose(content["height_range"], spm.workspace.height_range(stage))
+    expected = spm.workspace.reach(stage, directions=12)
     np.testing.assert_allclose([x["all_round"] for x in content["heights"]], np.degrees(expected.all_round))
     table = run("stage", "reach", *file, "--height", "0.5", "--out", str(tmp_path / "reach.png")).stdout
     assert "limit" in table
     assert (tmp_path / "reach.png").stat().st_size > 10_000
-    height, tilt = spm.stages.best_height(stage, directions=72)
+    height, tilt = spm.workspace.best_height(stage, directions=72)
     assert f"best height: {height:.5f} m, {np.degrees(tilt):.2f}° in every direction" in table
     wide = run("stage", "reach", *file, "--height", "2", "--json")
     assert json.loads(wide.stdout)["best_tilt"] == pytest.approx(np.degrees(tilt))
@@ -171,11 +171,11 @@ def test_a_place_has_the_same_options_in_every_command(command: str) -> None:
 def test_a_tilt_towards_x_of_a_picture_and_of_readings(place: list[str], tmp_path: Path) -> None:
     done = run("stage", "draw", *SIZES, *place, "--out", str(tmp_path / "stage.svg"))
     assert done.returncode == 0, done.message
-    home = spm.stages.home_height(STAGE)
+    home = spm.workspace.home_height(STAGE)
     title = f"tilt 10.0° towards 0°, height {1e3 * home:.1f} mm"
     assert title in (tmp_path / "stage.svg").read_text(encoding="utf-8")
     (mode,) = json.loads(run("stage", "inverse", *SIZES, *place, "--json").stdout)["modes"]
-    expected = spm.stages.inverse_physical(STAGE, home, tilt=np.radians(10.0), azimuth=0.0)
+    expected = spm.inverse_physical(STAGE, home, tilt=np.radians(10.0), azimuth=0.0)
     np.testing.assert_allclose(mode["readings"], np.degrees(expected.readings), atol=1e-9)
 
 

@@ -249,7 +249,7 @@ def test_a_sweep_of_a_stage(tmp_path: Path) -> None:
     assert "12 points: height 3, tilt 4" in out
     found = xarray.open_zarr(tmp_path / "tilts").load()
     heights = np.linspace(0.1, 0.14, 3)[:, None]
-    states = spm.stages.inverse_physical(stage, heights, tilt=np.radians([0, 10, 20, 30]), azimuth=np.radians(20))
+    states = spm.inverse_physical(stage, heights, tilt=np.radians([0, 10, 20, 30]), azimuth=np.radians(20))
     np.testing.assert_array_equal(found.reachable, states.exists & (states.limit_excess == 0.0).all(axis=-1))
     options = ["--legs", "-10:40", "--samples", 20, "--limits", -5, 50, "--metric", "reachable"]
     output(*given, *options, "--out", tmp_path / "legs")

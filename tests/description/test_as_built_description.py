@@ -34,7 +34,7 @@ def states(machine: spm.Manipulator) -> spm.Configuration:
 
 def state_of(machine: spm.Manipulator | spm.Stage) -> spm.Configuration | spm.machine.StageConfiguration:
     if isinstance(machine, spm.Stage):
-        return spm.stages.forward_physical(machine, [0.2, 0.1, 0.3])
+        return spm.forward_physical(machine, [0.2, 0.1, 0.3])
     return states(machine)[0]
 
 

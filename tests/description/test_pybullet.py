@@ -103,7 +103,7 @@ def test_falling_the_loops_hold(robot: Robot, closed: bool) -> None:
 
 def test_a_stage_alone_stands_where_the_closed_form_has_it(tmp_path: Path) -> None:
     stage = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11))
-    state, file = spm.stages.inverse_physical(stage, 0.12, tilt=0.2, azimuth=1.0), tmp_path / "stage.urdf"
+    state, file = spm.inverse_physical(stage, 0.12, tilt=0.2, azimuth=1.0), tmp_path / "stage.urdf"
     file.write_text(urdf_text(stage), encoding="utf-8")
     robot = Robot(str(file))
     try:

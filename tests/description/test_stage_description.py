@@ -47,7 +47,7 @@ MACHINES = {name: (name, False) for name in DRAWN if name != "PRS"} | {
 BALANCER = DRAWN["RRS"]
 
 
-def stage_and_states(machine: str, count: int = 6) -> tuple[spm.Stage, spm.stages.StageConfiguration]:
+def stage_and_states(machine: str, count: int = 6) -> tuple[spm.Stage, spm.machine.StageConfiguration]:
     """Return one of `MACHINES`, and states of it that lean by up to 0.2 rad."""
     name, built = MACHINES[machine]
     stage, height = DRAWN[name], -0.4 if "below" in name else HEIGHTS.get(name, 0.5)
@@ -55,12 +55,12 @@ def stage_and_states(machine: str, count: int = 6) -> tuple[spm.Stage, spm.stage
         stage = stage.perturbed(3, length=5e-3 * stage.size, angle=5e-3)
     rng = np.random.default_rng(7)
     tilt, azimuth = rng.uniform(0.0, 0.2, count), rng.uniform(-np.pi, np.pi, count)
-    states = spm.stages.inverse_physical(stage, height * rng.uniform(0.97, 1.03, count), tilt=tilt, azimuth=azimuth)
+    states = spm.inverse_physical(stage, height * rng.uniform(0.97, 1.03, count), tilt=tilt, azimuth=azimuth)
     assert states.exists.all()
     return stage, states
 
 
-def is_closed(frames: dict[str, Array], state: spm.stages.StageConfiguration, tolerance: float = 1e-13) -> None:
+def is_closed(frames: dict[str, Array], state: spm.machine.StageConfiguration, tolerance: float = 1e-13) -> None:
     """The platform is in the pose of the closed form, whose balls are where the legs end."""
     np.testing.assert_allclose(frames["platform"], state.pose.as_matrix(), atol=tolerance)
     for leg in range(3):
@@ -166,7 +166,7 @@ def test_servos_in_mujoco_lead_the_platform_where_the_closed_form_has_it(machine
             mujoco.mj_step(model, data)
             opened = max(opened, float(np.abs(data.efc_pos[: data.ne]).max()))
         mujoco.mj_forward(model, data)
-        found = spm.stages.forward_physical(stage, data.qpos[order] + zeros)
+        found = spm.forward_physical(stage, data.qpos[order] + zeros)
         assert np.abs(data.efc_pos[: data.ne]).max() < 1e-8
         np.testing.assert_allclose(data.body("platform").xpos, found.translation, atol=1e-8)
         np.testing.assert_allclose(data.body("platform").xmat.reshape(3, 3), found.rotation, atol=1e-7)
@@ -187,7 +187,7 @@ def test_the_keyframe_home_of_a_stage_below_its_pivots_is_the_middle_of_its_limi
     mujoco.mj_forward(model, data)
     np.testing.assert_allclose(data.ctrl, np.mean(limits), atol=1e-14)
     assert np.abs(data.efc_pos[: data.ne]).max() < 1e-12
-    level = spm.stages.inverse_physical(stage, data.body("platform").xpos[2])
+    level = spm.inverse_physical(stage, data.body("platform").xpos[2])
     np.testing.assert_allclose(level.readings, data.ctrl, atol=1e-12)
 
 
@@ -215,7 +215,7 @@ def test_servos_have_the_limits_of_the_stage() -> None:
         spm.Stage(0.08, 0.09, spm.RRS(crank=0.02, rod=0.11)),
         DRAWN["PRS inclined"],
         DRAWN["RPS"],
-        *(machine.stage for machine in spm.stages.gallery().values()),
+        *(machine.stage for machine in spm.machine.gallery().values()),
     ],
     ids=repr,
 )
@@ -288,8 +288,8 @@ def test_states_of_another_stage_are_refused() -> None:
 
 def test_a_ball_lies_on_a_level_plate_and_rolls_to_where_a_tilted_one_is_low() -> None:
     """Down an incline a solid ball that does not slip has 5/7 of the acceleration g sin(tilt) of a sliding body."""
-    level = spm.stages.inverse_physical(BALANCER, 0.12)
-    leaning = spm.stages.inverse_physical(BALANCER, 0.12, tilt=0.1, azimuth=0.7)
+    level = spm.inverse_physical(BALANCER, 0.12)
+    leaning = spm.inverse_physical(BALANCER, 0.12, tilt=0.1, azimuth=0.7)
     states = {"level": level, "leaning": leaning}
     model = mujoco.MjModel.from_xml_string(mjcf_text(BALANCER, states=states, ball=Ball()))
     data, moved = mujoco.MjData(model), {}

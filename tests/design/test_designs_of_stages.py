@@ -18,7 +18,7 @@ KINDS = ["RPS", "PRS as built", "RRS", "RRS as built"]
 
 def limited(machine: str, share: float = 0.06) -> spm.Stage:
     stage, height = stage_and_height(machine)
-    level = spm.stages.inverse_physical(stage, height).readings
+    level = spm.inverse_physical(stage, height).readings
     room = 5.0 * share if stage.unit == "rad" else share * stage.size
     return dataclasses.replace(stage, limits=spm.machine.StageLimits(level - room, level + room))
 
@@ -30,13 +30,13 @@ def test_the_volume_is_that_of_the_heights_and_normals_reached(machine: str) -> 
     assert found.columns["assembled"][0] == 1.0
     # The share of a box of heights and normals that the inverse displacement reaches within the limits.
     corners = np.stack(np.meshgrid(*stage.reading_limits.T), axis=-1).reshape(-1, 3)
-    states = spm.stages.forward_physical(stage, corners)
+    states = spm.forward_physical(stage, corners)
     low, high = 0.9 * states.height.min(), 1.1 * states.height.max()
     tilt = 1.3 * states.tilt.max()
     rng, count = np.random.default_rng(0), 200_000
     heights, cosines = rng.uniform(low, high, count), rng.uniform(np.cos(tilt), 1.0, count)
     azimuths = rng.uniform(-np.pi, np.pi, count)
-    reached = spm.stages.inverse_physical(stage, heights, tilt=np.arccos(cosines), azimuth=azimuths)
+    reached = spm.inverse_physical(stage, heights, tilt=np.arccos(cosines), azimuth=azimuths)
     share = np.mean(reached.exists & (reached.limit_excess == 0.0).all(axis=-1))
     expected = share * (high - low) * 2.0 * np.pi * (1.0 - np.cos(tilt))
     error = expected * np.sqrt((1.0 - share) / share / count)
@@ -63,14 +63,14 @@ def test_a_task_of_tilts_is_that_of_the_states_there() -> None:
     tilts = {"tilt": [0.1, 0.2, 0.15], "azimuth": [0.0, 2.0, -1.0]}
     task = Task.of_tilts(0.12, **tilts, wrench=[0, 0, -2.0, 0, 0, 0])
     stage = dataclasses.replace(BALANCER, limits=(-0.6, 1.2))
-    states = spm.stages.inverse_physical(stage, 0.12, **tilts)
+    states = spm.inverse_physical(stage, 0.12, **tilts)
     room = np.minimum(states.readings + 0.6, 1.2 - states.readings).min()
     assert task.margin(stage) == pytest.approx(0.05 * room)
     # By virtual work a torque is the weight times the change of height with the reading, by differences.
     efforts = []
     for leg in range(3):
         step = 1e-6 * np.eye(3)[leg]
-        ends = [spm.stages.forward_physical(stage, states.readings + x, near=states).height for x in (step, -step)]
+        ends = [spm.forward_physical(stage, states.readings + x, near=states).height for x in (step, -step)]
         efforts.append(2.0 * (ends[0] - ends[1]) / 2e-6)
     assert task.effort(stage) == pytest.approx(np.abs(efforts).max(), rel=1e-6)
     assert np.isnan(Task.of_tilts(0.3).margin(stage))

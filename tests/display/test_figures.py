@@ -110,7 +110,7 @@ def test_a_front_shows_its_machines_and_the_one_that_it_began_with() -> None:
 @pytest.mark.parametrize("kind", [spm.RPS(), spm.PRS(rod=0.4), spm.RRS(crank=0.2, rod=0.4)], ids=repr)
 def test_a_stage_and_its_reach_are_drawn(kind: spm.RPS | spm.PRS | spm.RRS) -> None:
     stage = spm.Stage(0.35, 0.3, kind)
-    state = spm.stages.inverse_physical(stage, 0.45, tilt=0.1, azimuth=0.0)
+    state = spm.inverse_physical(stage, 0.45, tilt=0.1, azimuth=0.0)
     ax = stage_figure(state).axes[0]
     (image,) = ax.images
     left, right, low, high = image.get_extent()
@@ -121,7 +121,7 @@ def test_a_stage_and_its_reach_are_drawn(kind: spm.RPS | spm.PRS | spm.RRS) -> N
         assert pixels[int(row * pixels.shape[0]), int(column * pixels.shape[1]), 3] > 0.9
     assert {text.get_text() for text in ax.texts} >= {"$r_1$", "$r_2$", "$r_3$"}
     with pytest.raises(spm.ArgumentError, match="a single configuration, got a batch of shape"):
-        stage_figure(spm.stages.inverse_physical(stage, [0.4, 0.5]))
-    reach = spm.stages.reach(stage, [0.3, 0.45], directions=24)
+        stage_figure(spm.inverse_physical(stage, [0.4, 0.5]))
+    reach = spm.workspace.reach(stage, [0.3, 0.45], directions=24)
     lines = reach_figure(reach).axes[0].lines
     np.testing.assert_allclose(lines[1].get_ydata()[:-1], np.degrees(reach.tilts[1]))

@@ -461,12 +461,12 @@ ROLL, TILT = StageModel.conventions
 
 
 def of_stage():
-    return StageModel(spm.stages.inverse_physical(BALANCER, spm.stages.home_height(BALANCER)))
+    return StageModel(spm.inverse_physical(BALANCER, spm.workspace.home_height(BALANCER)))
 
 
 def test_the_platform_of_a_stage_is_dragged_in_tilt_and_height():
     model = of_stage()
-    expected = spm.stages.inverse_physical(BALANCER, 0.12, roll=np.radians(8), pitch=np.radians(-5))
+    expected = spm.inverse_physical(BALANCER, 0.12, roll=np.radians(8), pitch=np.radians(-5))
     target = model.pose_of(np.array([120.0, 8.0, -5.0]), ROLL)
     # Wherever it is dragged sideways, and however it is turned about its normal.
     beside = moved(target, shift=(0.03, -0.02, 0.0), turn=0.5 * expected.normal)
@@ -489,7 +489,7 @@ def test_a_stage_dragged_out_of_reach_shows_the_nearest_tilt():
     tilted = {"roll": np.radians(26), "pitch": np.radians(5)}
     target = model.pose_of(np.array([120.0, 26.0, 5.0]), ROLL)
     state = model.drag(target)
-    nearest = spm.stages.nearest_reachable(BALANCER, 0.12, **tilted)
+    nearest = spm.workspace.nearest_reachable_pose(BALANCER, 0.12, **tilted).configuration
     np.testing.assert_allclose(state.shown.readings, nearest.readings, atol=1e-12)
     np.testing.assert_allclose(state.target.rotation.as_matrix()[:, 2], target.rotation.as_matrix()[:, 2], atol=1e-12)
     assert not state.shown.limit_excess.any()
@@ -508,7 +508,7 @@ def test_servos_drive_the_platform_of_a_stage_as_far_as_they_can():
     ranges = np.degrees(model.reading_ranges())
     np.testing.assert_allclose(ranges, [[-35.0, 70.0]] * 3, atol=1e-9)
     state = model.set_readings([0.2, 0.4, 0.6])
-    expected = spm.stages.forward_physical(BALANCER, [0.2, 0.4, 0.6])
+    expected = spm.forward_physical(BALANCER, [0.2, 0.4, 0.6])
     np.testing.assert_allclose(state.shown.balls, expected.balls, atol=1e-14)
     np.testing.assert_array_equal(state.target.as_matrix(), state.shown.pose.as_matrix())
     state = model.set_readings([2.6, 0.4, -1.5])
@@ -516,13 +516,13 @@ def test_servos_drive_the_platform_of_a_stage_as_far_as_they_can():
     way = (state.shown.readings - [0.2, 0.4, 0.6]) / ([2.6, 0.4, -1.5] - np.array([0.2, 0.4, 0.6]) + 1e-300)
     assert 0.05 < way[0] < 1.0
     assert way[2] == pytest.approx(way[0])
-    torques = spm.stages.leg_forces(state.shown, [0, 0, -2.0, 0, 0, 0])
+    torques = spm.leg_forces(state.shown, [0, 0, -2.0, 0, 0, 0])
     np.testing.assert_allclose(model.load([0, 0, -2.0, 0, 0, 0]).forces, torques)
 
 
 def test_a_page_of_a_stage_refuses_what_it_cannot_show():
-    level = spm.stages.inverse_physical(BALANCER, 0.12)
-    for start in (spm.stages.inverse_physical(BALANCER, [0.11, 0.12]), spm.stages.inverse(BALANCER, 0.3)["T"]):
+    level = spm.inverse_physical(BALANCER, 0.12)
+    for start in (spm.inverse_physical(BALANCER, [0.11, 0.12]), spm.inverse_displacement(BALANCER, 0.3)["T"]):
         with pytest.raises(spm.ArgumentError, match="start: expected a single physical state of a stage"):
             Viewer(start, port=0)
     with pytest.raises(spm.ArgumentError, match="recording: expected no recording with a stage"):
@@ -534,7 +534,7 @@ def test_a_page_of_a_stage_refuses_what_it_cannot_show():
 
 def test_a_page_that_is_changed_after_its_tab_was_closed_prints_no_warning():
     """As a session does whose client has gone, until it notices."""
-    level = spm.stages.inverse_physical(BALANCER, 0.12)
+    level = spm.inverse_physical(BALANCER, 0.12)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         with Viewer(level, port=0) as viewer:
@@ -549,7 +549,7 @@ def test_a_page_that_is_changed_after_its_tab_was_closed_prints_no_warning():
     ids=["RRS", "PRS", "RPS without limits"],
 )
 def test_what_is_shared_of_a_stage_finds_it_again(stage):
-    model = StageModel(spm.stages.inverse_physical(stage, spm.stages.home_height(stage)))
+    model = StageModel(spm.inverse_physical(stage, spm.workspace.home_height(stage)))
     model.hold_limits = False
     height = 1e3 * float(model.state.shown.height)
     state = model.drag(model.pose_of(np.array([height, -14.0, 5.0]), ROLL))
@@ -566,7 +566,7 @@ def test_what_is_shared_of_another_machine_needs_its_file():
     built = BALANCER.perturbed(1)
     apart = spm.Stage(0.15, 0.1, spm.RPS(), limits=([0.1, 0.1, 0.1], [0.2, 0.2, 0.3]))
     for stage in (built, apart):
-        model = StageModel(spm.stages.inverse_physical(stage, spm.stages.home_height(stage)))
+        model = StageModel(spm.inverse_physical(stage, spm.workspace.home_height(stage)))
         assert model.command().startswith("spm-pin stage inverse --stage FILE --height ")
     assert "--machine" not in ViewerModel(START).command()
     assert ViewerModel(starting_configuration(FREE)).command().endswith(" --machine FILE")
@@ -575,8 +575,8 @@ def test_what_is_shared_of_another_machine_needs_its_file():
 @pytest.mark.parametrize("machine", MACHINES)
 def test_the_solids_of_a_stage_are_those_of_the_robot_that_stands_on_it(machine):
     stage, height = stage_and_height(machine)
-    state = spm.stages.inverse_physical(stage, height, roll=0.1, pitch=-0.05)
-    above = spm.stages.inverse_physical(stage, height, roll=-0.05)
+    state = spm.inverse_physical(stage, height, roll=0.1, pitch=-0.05)
+    above = spm.inverse_physical(stage, height, roll=-0.05)
     robot = spm.Manipulator.of_stages(stage, stage)
     both = spm.forward_physical(robot, [*state.readings, *above.readings[::-1]])
     parts = visual_parts(robot)

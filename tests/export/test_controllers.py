@@ -143,7 +143,7 @@ def test_linuxcnc_homes_a_stage_level_and_moves_it_within_its_limits_at_half_the
 
     def readings(values: npt.ArrayLike) -> np.ndarray:
         height, roll, pitch = np.moveaxis(np.asarray(values) * [1e-3, *[np.pi / 180.0] * 2], -1, 0)
-        return spm.stages.inverse_physical(stage, height, roll=roll, pitch=pitch).readings
+        return spm.inverse_physical(stage, height, roll=roll, pitch=pitch).readings
 
     np.testing.assert_allclose(readings(home), joints, rtol=0.0, atol=2e-11)
     program = np.array(re.findall(r"G1 Z(\S+) A(\S+) B(\S+)", files["demo.ngc"]), dtype=float)

@@ -116,15 +116,10 @@ def per_reading(machine: Machine) -> np.ndarray:
     return np.where(np.array(machine.legs.units) == "m", 1e3, np.rad2deg(1.0))
 
 
-def forward(machine: Machine, readings: Any, near: Any = None) -> Any:
-    function = spm.stages.forward_physical if isinstance(machine, spm.Stage) else spm.forward_physical
-    return function(machine, readings, near)
-
-
 def axes(state: Any) -> np.ndarray:
     """Return Z [mm] and A B [degrees] of a stage, X Y Z and A B C of a robot."""
     rotation, place = state.pose.rotation, 1e3 * state.translation
-    if isinstance(state, spm.stages.StageConfiguration):
+    if isinstance(state, spm.machine.StageConfiguration):
         return np.concatenate([place[..., 2:], rotation.as_euler("XYZ", degrees=True)[..., :2]], axis=-1)
     return np.concatenate([place, rotation.as_euler("xyz", degrees=True)], axis=-1)
 
@@ -133,7 +128,7 @@ def solved(machine: Machine, values: np.ndarray, near: Any) -> np.ndarray:
     """Return the readings of values of the axes."""
     if isinstance(machine, spm.Stage):
         normal = Rotation.from_euler("XY", values[1:], degrees=True).apply([0.0, 0.0, 1.0])
-        return spm.stages.inverse_physical(machine, values[0] / 1e3, normal=normal).readings
+        return spm.inverse_physical(machine, values[0] / 1e3, normal=normal).readings
     pose = spm.pose(values[:3] / 1e3, rpy=np.deg2rad(values[3:]))
     return spm.inverse_physical(machine, pose, near=near).readings
 
@@ -145,7 +140,7 @@ def in_world_mode(machine: Machine, step: Step) -> Step:
     kind, readings, feed = step
     lines = [
         f"G1 F{feed} " + " ".join(f"{name}{x:.9f}" for name, x in zip(axes_of(machine), values, strict=True))
-        for values in axes(forward(machine, np.atleast_2d(readings)))
+        for values in axes(spm.forward_physical(machine, np.atleast_2d(readings)))
     ]
     return ["mdi", lines[0]] if kind == "pose" else ["program", "\n".join([*lines, "M2", ""])]
 
@@ -256,14 +251,14 @@ def test_the_simulator_homes_and_moves_a_machine_calibrated_anew(bench: Bench, c
     scale = per_reading(machine)
     home = [float(x) for x in re.findall(r"^HOME = ([-\d.]+)$", settings, re.MULTILINE)]
     np.testing.assert_allclose(results["home"]["joints"], home, rtol=0, atol=1e-6, err_msg=reports)
-    state = forward(machine, home / scale)
+    state = spm.forward_physical(machine, home / scale)
     places = ["XYZABC".index(axis) for axis in axes_of(machine)]
     pose = np.array(re.search(r"^HOME = (\S+ .*)$", settings, re.MULTILINE)[1].split(), dtype=float)
     np.testing.assert_allclose(pose[places], axes(state), rtol=0, atol=1e-6)
     for step, result in results.items():
         # Of every state the pose is that of the legs, and the legs are those of the pose.
         readings, values = np.array(result["joints"]) / scale, np.array(result["axes"])
-        state = forward(machine, readings, state)
+        state = spm.forward_physical(machine, readings, state)
         np.testing.assert_allclose(values[places], axes(state), rtol=0, atol=1e-6, err_msg=reports)
         np.testing.assert_allclose(solved(machine, values[places], state), readings, rtol=0, atol=1e-9, err_msg=step)
         assert (np.delete(values, places) == 0.0).all()

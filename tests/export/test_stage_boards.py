@@ -27,7 +27,7 @@ CONTROLLERS = Path(__file__).parents[2] / "examples/controllers"
 STAND_INS = Path(__file__).parent / "stand_ins"
 PINS = {"servo": [9, 10, 11], "esp32": [4, 13, 14]}
 BALANCER = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), limits=(-1.2, 1.4))
-HOME = spm.stages.forward_physical(BALANCER, [0.1] * 3)
+HOME = spm.forward_physical(BALANCER, [0.1] * 3)
 RATE, ACCELERATION, PATIENCE, PERIOD = 4.0, 40.0, 0.25, 0.01
 REPEATED, SILENT = 16, 17
 PULSES = 637.0  # of a radian, in the sketches
@@ -97,7 +97,7 @@ def test_a_set_point_is_reached_within_the_limits_in_a_straight_line(board: ctyp
     ticks = [set_point(k, 0.25, 0.5, height) for k in range(1, 120)]
     readings, status, answers = run(board, ticks)
     check_motion(readings)
-    expected = spm.stages.inverse_physical(BALANCER, height, tilt=0.25, azimuth=0.5).readings
+    expected = spm.inverse_physical(BALANCER, height, tilt=0.25, azimuth=0.5).readings
     np.testing.assert_allclose(readings[-1], expected, rtol=0.0, atol=2e-5)  # six digits are sent
     assert set(status) == {STATUS["OK"]}
     assert answers[:, 2].tolist() == [STATUS["OK"]] * 119
@@ -117,7 +117,7 @@ def test_set_points_out_of_reach_are_refused_and_leave_the_target(board: ctypes.
     readings, _, answers = run(board, [set_point(1, 0.1, 0.0, height), *bad, *[b""] * 15])
     check_motion(readings)
     assert STATUS["OK"] not in answers[1:, 2]
-    expected = spm.stages.inverse_physical(BALANCER, height, tilt=0.1, azimuth=0.0).readings
+    expected = spm.inverse_physical(BALANCER, height, tilt=0.1, azimuth=0.0).readings
     np.testing.assert_allclose(readings[-1], expected, rtol=0.0, atol=2e-5)
 
 
@@ -130,7 +130,7 @@ def test_a_silent_line_stops_the_actuators_and_a_new_frame_starts_them(board: ct
     assert status[20] == STATUS["OK"]
     assert status[40] == SILENT
     assert (readings[40:60] == readings[40]).all()
-    end = spm.stages.inverse_physical(BALANCER, height, tilt=0.3, azimuth=2.0).readings
+    end = spm.inverse_physical(BALANCER, height, tilt=0.3, azimuth=2.0).readings
     assert np.abs(readings[40] - end).max() > 0.05
     assert np.abs(readings[80] - end).max() < np.abs(readings[40] - end).max() - 0.02
 
@@ -150,9 +150,9 @@ def test_a_way_through_a_singularity_is_answered_with_the_next_frame(tmp_path: P
     """Both set-points have states, and the straight way of the readings between them leads where there is none."""
     board, stage = compiled(STAGES["PRS radial"], tmp_path), STAGES["PRS radial"]
     tilts, azimuths, heights = np.radians([24.2, 14.0]), np.radians([-36.1, -6.0]), [0.34, 0.22]
-    first, second = spm.stages.inverse_physical(stage, heights, tilt=tilts, azimuth=azimuths).readings
+    first, second = spm.inverse_physical(stage, heights, tilt=tilts, azimuth=azimuths).readings
     way = first + np.linspace(0.0, 1.0, 101)[:, None] * (second - first)
-    assert spm.stages.forward_physical(stage, way).exists.mean() < 0.8
+    assert spm.forward_physical(stage, way).exists.mean() < 0.8
     points = list(zip(tilts, azimuths, heights, strict=True))
     ticks = [set_point(k, *points[k > 200]) for k in range(1, 301)]
     readings, _, answers = run(board, ticks, rate=1.0)
@@ -198,7 +198,7 @@ def test_bytes_lost_doubled_and_wrong_never_move_an_actuator_faster(board: ctype
 def test_commands_reach_the_limits_of_readings_without_a_jolt(board: ctypes.CDLL) -> None:
     """Fast ways from limit to limit, at which no actuator is cut off while it moves."""
     rng, ticks = np.random.default_rng(3), []
-    low, high = map(float, spm.stages.forward_physical(BALANCER, [[-1.2] * 3, [1.4] * 3]).height)
+    low, high = map(float, spm.forward_physical(BALANCER, [[-1.2] * 3, [1.4] * 3]).height)
     heights = low + 1e-6, high - 1e-6  # what is sent is rounded
     for number in range(1, 400):
         ticks += [set_point(number, 0.0, 0.0, heights[number % 2]), *[b""] * int(rng.integers(5, 24))]
@@ -231,7 +231,7 @@ def test_a_machine_that_begins_beyond_its_limits_goes_back_at_its_rate(board: ct
     readings, _, _ = run(board, ticks, start=start)
     check_motion(readings, start=start)
     assert (readings[:5] == np.float32(start)).all()
-    expected = spm.stages.inverse_physical(BALANCER, height, tilt=0.1, azimuth=0.0).readings
+    expected = spm.inverse_physical(BALANCER, height, tilt=0.1, azimuth=0.0).readings
     np.testing.assert_allclose(readings[-1], expected, rtol=0.0, atol=2e-5)
 
 
@@ -244,7 +244,7 @@ def test_a_time_that_is_none_moves_nothing_and_keeps_the_target(board: ctypes.CD
     expected, _, _ = run(board, [x for x, t in zip(ticks, times, strict=True) if t == PERIOD or x])
     still = times != PERIOD
     assert (readings[still][1:] == readings[np.flatnonzero(still)[1:] - 1]).all()
-    end = spm.stages.inverse_physical(BALANCER, height, tilt=0.1, azimuth=0.0).readings
+    end = spm.inverse_physical(BALANCER, height, tilt=0.1, azimuth=0.0).readings
     assert np.abs(readings[-1] - end).max() < 0.5 * np.abs(HOME.readings - end).max()
     assert len(expected) > 10
 
@@ -279,7 +279,7 @@ def test_the_sketch_tilts_a_plate_in_a_circle(tmp_path: Path, board: str) -> Non
     done = subprocess.run([program, "4000"], stdin=subprocess.DEVNULL, capture_output=True, text=True, check=True)
     rows = pulses(done.stdout, board)
     azimuth = 2.0 * np.pi * rows[:, 0] / 4000.0
-    expected = spm.stages.inverse_physical(
+    expected = spm.inverse_physical(
         BALANCER, float(HOME.height), tilt=0.1745, azimuth=(azimuth + np.pi) % (2 * np.pi) - np.pi
     )
     assert len(rows) > 150
@@ -298,7 +298,7 @@ def test_the_check_of_the_servos_shows_which_is_mounted_wrong(tmp_path: Path) ->
 
     def seen(level_pulse: np.ndarray, per_radian: np.ndarray) -> tuple[spm.machine.StageConfiguration, ...]:
         """Return the first states of both moves with servos that have these numbers."""
-        return tuple(spm.stages.forward_physical(BALANCER, (x[0] - level_pulse) / per_radian) for x in (low, high))
+        return tuple(spm.forward_physical(BALANCER, (x[0] - level_pulse) / per_radian) for x in (low, high))
 
     level, right = np.full(3, 1500.0), np.full(3, PULSES)
     for state, other in zip(seen(level, right), seen(level, -right), strict=True):

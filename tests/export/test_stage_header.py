@@ -57,7 +57,7 @@ def rounded(array: np.ndarray, dtype: type) -> np.ndarray:
     return array.astype(dtype).astype(np.float64)
 
 
-def rows_of(states: spm.stages.StageConfiguration) -> np.ndarray:
+def rows_of(states: spm.machine.StageConfiguration) -> np.ndarray:
     parts = states.rotation.reshape(*states.shape, 9), states.translation, states.readings
     return np.concatenate(parts, axis=-1)
 
@@ -69,7 +69,7 @@ def errors(stage: spm.Stage, rows: np.ndarray, expected: np.ndarray) -> np.ndarr
     return (np.abs(rows - expected) / scale).max(axis=-1)
 
 
-def least_slopes(states: spm.stages.StageConfiguration) -> np.ndarray:
+def least_slopes(states: spm.machine.StageConfiguration) -> np.ndarray:
     legs = states.stage.legs
     return np.nan_to_num(legs.slopes(states.places, states.readings) * legs.slope_signs / legs.largest_slopes).min(
         axis=-1
@@ -88,7 +88,7 @@ def test_the_inverse_is_that_of_python_over_the_reach_and_says_where_it_ends(
     rows, status = library.inverse(normals, heights)
     normals, heights = rounded(normals, dtype), rounded(heights, dtype)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-    expected = spm.stages.inverse_physical(stage, heights, normal=normals)
+    expected = spm.inverse_physical(stage, heights, normal=normals)
     ok = status == STATUS["OK"]
     assert ok.sum() > 700
     assert expected.exists[ok].all()
@@ -104,7 +104,7 @@ def test_the_inverse_is_that_of_python_over_the_reach_and_says_where_it_ends(
     assert set(status[~expected.exists]) <= {STATUS["UNREACHABLE"], STATUS["SINGULAR"]}
 
 
-def amplification(states: spm.stages.StageConfiguration) -> np.ndarray:
+def amplification(states: spm.machine.StageConfiguration) -> np.ndarray:
     """Return how far balls move by errors of their places, by finite differences of all three distances.
 
     Columns are the derivatives of half the squared sides by turns of the rods about the ends of their circles' axes.
@@ -137,7 +137,7 @@ def test_forward_comes_back_from_near_and_from_far(libraries, machine: str, dtyp
         ok = status == STATUS["OK"]
         assert ok.mean() > share
         assert set(status[~ok]) <= {STATUS["UNSAFE"], STATUS["SINGULAR"]}
-        expected = spm.stages.forward_physical(stage, rounded(readings[ok], dtype))
+        expected = spm.forward_physical(stage, rounded(readings[ok], dtype))
         assert expected.exists.all()
         assert errors(stage, states[ok], rows_of(expected)).max() < TOLERANCE[dtype]
     # The result may take the place of the state that it began from.
@@ -151,7 +151,7 @@ def test_a_tilt_and_its_azimuth_are_those_of_python(libraries, dtype: type) -> N
     rows, status = libraries[dtype].of(BALANCER).tilt(tilt, azimuth, np.full(500, 0.11))
     ok = status == STATUS["OK"]
     tilt, azimuth = rounded(tilt, dtype), rounded(azimuth, dtype)
-    expected = spm.stages.inverse_physical(BALANCER, 0.11, tilt=tilt, azimuth=azimuth)
+    expected = spm.inverse_physical(BALANCER, 0.11, tilt=tilt, azimuth=azimuth)
     assert ok.sum() > 300
     assert errors(BALANCER, rows[ok], rows_of(expected)[ok]).max() < TOLERANCE[dtype]
 
@@ -168,7 +168,7 @@ def test_normals_of_any_length_give_the_state_of_the_unit_normal(libraries, mach
         rows, status = library.inverse(asked, heights)
         units = asked / np.float64(length)
         units /= np.linalg.norm(units, axis=-1, keepdims=True)
-        expected = spm.stages.inverse_physical(stage, rounded(heights, dtype), normal=units)
+        expected = spm.inverse_physical(stage, rounded(heights, dtype), normal=units)
         ok = status == STATUS["OK"]
         assert ok.sum() > 150
         assert errors(stage, rows[ok], rows_of(expected)[ok]).max() < TOLERANCE[dtype]
@@ -179,7 +179,7 @@ def test_limits_are_those_of_the_package(libraries, dtype: type) -> None:
     library = libraries[dtype].of(BALANCER)
     normals, heights = requests(0.11, 20_000)
     _, status = library.inverse(normals, heights)
-    expected = spm.stages.inverse_physical(BALANCER, heights, normal=normals)
+    expected = spm.inverse_physical(BALANCER, heights, normal=normals)
     # Where no reading is within float's rounding of a limit.
     low, high = np.array(BALANCER.limits.minimum), np.array(BALANCER.limits.maximum)
     margin = np.minimum(expected.readings - low, high - expected.readings).min(axis=-1)
@@ -197,7 +197,7 @@ def test_states_exactly_at_a_limit_are_within_it(libraries, dtype: type) -> None
     """Level states with all cranks at a limit of their own."""
     for limit in (-0.8, 0.9):
         stage = spm.Stage(0.08, 0.09, BALANCER.kind, limits=sorted((limit, 0.05)))
-        state = spm.stages.forward_physical(stage, [limit] * 3)
+        state = spm.forward_physical(stage, [limit] * 3)
         library = libraries[dtype].of(stage)
         assert library.inverse(state.normal[None], [state.height])[1].tolist() == [STATUS["OK"]]
 
@@ -372,7 +372,7 @@ def test_the_home_is_in_the_middle_of_the_limits_and_a_stage_without_one_is_refu
         (spm.Stage(0.3, 0.2, limits=(0.4, 0.6)), [0.5] * 3),
     ):
         height = float(re.search(r"STAGE_\w+, 1, STAGE_R\((.*?)\),", stage_c_sources(stage)["stage.h"])[1])
-        level = spm.stages.inverse_physical(stage, height, tilt=0.0, azimuth=0.0)
+        level = spm.inverse_physical(stage, height, tilt=0.0, azimuth=0.0)
         np.testing.assert_allclose(level.readings, readings, rtol=0.0, atol=1e-12)
     with pytest.raises(UnreachableError, match="level"):
         stage_c_sources(spm.Stage(0.08, 0.09, BALANCER.kind, limits=(3.0, 3.1)))

@@ -21,9 +21,9 @@ mujoco = pytest.importorskip("mujoco")
 
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 
-from spm_pin.stages.balancing import OBSERVATION, BallBalancer  # noqa: E402
+from spm_pin.gym import OBSERVATION, BallBalancer  # noqa: E402
 
-NAME = "spm_pin.stages.balancing:spm_pin/BallBalancer-v0"
+NAME = "spm_pin.gym:spm_pin/BallBalancer-v0"
 STAGES = {
     "servos": None,
     "servos as built": spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), (-0.6, 1.2)).perturbed(3, length=1e-3),
@@ -54,7 +54,7 @@ def test_observations_of_whole_episodes_are_in_their_space(name: str) -> None:
         "ball_vx", "ball_vy", "roll_rate", "pitch_rate", "speed"
     }  # fmt: skip
     assert (most["roll"], most["pitch"]) == (np.pi, np.pi / 2.0)
-    _, highest = spm.stages.height_range(balancer.stage)
+    _, highest = spm.workspace.height_range(balancer.stage)
     assert highest < most["height"] < 3.0 * highest
     for seed in range(4):
         observation, _ = balancer.reset(seed=seed)
@@ -80,7 +80,7 @@ def test_a_reset_is_a_closed_state_of_the_stage_with_the_ball_on_its_plate(name:
         readings = np.array([balancer.data.joint(joint).qpos[0] for joint in joints]) + zeros
         assert ((low <= readings) & (readings <= high)).all()
         # The closed form of what the actuators read, against MuJoCo's own positions of the bodies.
-        state = spm.stages.forward_physical(stage, readings)
+        state = spm.forward_physical(stage, readings)
         np.testing.assert_allclose(
             [seen["roll"], seen["pitch"], seen["height"]], [state.roll, state.pitch, state.height], atol=1e-12
         )
@@ -103,19 +103,19 @@ def test_a_seed_makes_an_episode_and_options_choose_its_start(balancer: BallBala
     assert not np.array_equal(balancer.reset()[0], first[0])
     observation, _ = balancer.reset(options={"readings": [0.2, 0.4, 0.6], "ball": [0.03, -0.02]})
     np.testing.assert_allclose(observation[:2], [0.03, -0.02], atol=1e-15)
-    state = spm.stages.forward_physical(balancer.stage, [0.2, 0.4, 0.6])
+    state = spm.forward_physical(balancer.stage, [0.2, 0.4, 0.6])
     np.testing.assert_allclose(observation[4:7], [state.roll, state.pitch, state.height], atol=1e-12)
 
 
 def test_an_action_leads_the_servos_to_readings_and_no_faster_than_they_turn(balancer: BallBalancer) -> None:
     wanted = np.array([0.1, 0.5, 0.9])
-    start = spm.stages.inverse_physical(balancer.stage, 0.12).readings
+    start = spm.inverse_physical(balancer.stage, 0.12).readings
     balancer.reset(options={"readings": start, "ball": [0.0, 0.0]})
     for k in range(1, 30):
         observation, *_ = balancer.step(balancer.action(wanted))
         way = np.minimum(6.0 * 0.02 * k, np.abs(wanted - start)) * np.sign(wanted - start)
         np.testing.assert_allclose(balancer.data.ctrl, start + way, atol=1e-6)
-    state = spm.stages.forward_physical(balancer.stage, wanted)
+    state = spm.forward_physical(balancer.stage, wanted)
     # The servos give way by a quarter of a millimetre.
     np.testing.assert_allclose(observation[4:6], [state.roll, state.pitch], atol=2e-3)
     assert observation[6] == pytest.approx(state.height, abs=5e-4)
@@ -164,8 +164,8 @@ def lean(balancer: BallBalancer, observation: np.ndarray) -> Any:
     slope = -3.0 * observation[:2] - observation[2:4]
     slope *= min(1.0, 0.2 / max(np.linalg.norm(slope), 1e-9))
     normal = [*slope, np.sqrt(1.0 - slope @ slope)]
-    height = sum(spm.stages.height_range(balancer.stage)) / 2.0
-    return balancer.action(spm.stages.inverse_physical(balancer.stage, height, normal=normal).readings)
+    height = sum(spm.workspace.height_range(balancer.stage)) / 2.0
+    return balancer.action(spm.inverse_physical(balancer.stage, height, normal=normal).readings)
 
 
 @pytest.mark.parametrize("name", ["servos", "cylinders"])
@@ -232,7 +232,7 @@ def test_it_is_copied_by_its_specification_and_pictures_need_a_mode(balancer: Ba
 RENDER = """
 import gymnasium
 from gymnasium.utils.env_checker import check_env
-from spm_pin.stages.balancing import BallBalancer
+from spm_pin.gym import BallBalancer
 balancer = BallBalancer(render_mode="rgb_array")
 balancer.reset(seed=0)
 picture = balancer.render()

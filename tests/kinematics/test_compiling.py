@@ -69,11 +69,11 @@ def use_machine(machine: spm.Manipulator, readings: Any) -> None:
 
 def use_stage(stage: spm.Stage) -> None:
     """Call what has a kernel of its own for a stage."""
-    height = spm.stages.home_height(stage)
-    states = spm.stages.inverse_physical(stage, height, tilt=[0.0, 0.02, 0.05], azimuth=0.3)
+    height = spm.workspace.home_height(stage)
+    states = spm.inverse_physical(stage, height, tilt=[0.0, 0.02, 0.05], azimuth=0.3)
     assert states.exists.all()
-    spm.stages.forward(stage, states.readings[2])
-    spm.stages.forward_physical(stage, states.readings)
+    spm.forward_displacement(stage, states.readings[2])
+    spm.forward_physical(stage, states.readings)
 
 
 def test_every_kernel_computes_the_same_bits_in_the_interpreter(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -135,7 +135,7 @@ for machine in (paper, paper.perturbed(0)):
     spm.inverse_displacement(machine, state.pose)
     spm.leg_forces(state, np.ones(6)), spm.inverse_jacobian(state), spm.singularities(state)
 stage = spm.Stage(0.5, 0.3)
-spm.stages.forward(stage, spm.stages.inverse_physical(stage, 0.6, tilt=0.1, azimuth=0.0).readings)
+spm.forward_displacement(stage, spm.inverse_physical(stage, 0.6, tilt=0.1, azimuth=0.0).readings)
 print("numba" in sys.modules)
 """
 

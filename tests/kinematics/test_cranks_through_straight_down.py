@@ -33,7 +33,7 @@ def states_of(stage: Stage, count: int = 400) -> spm.machine.StageConfiguration:
     """Return states whose readings differ by little from one value anywhere within the limits."""
     rng = np.random.default_rng(8)
     about = rng.uniform(LOW + 0.1, HIGH - 0.1, (count, 1)) + rng.uniform(-0.1, 0.1, (count, 3))
-    states = spm.stages.forward_physical(stage, about)
+    states = spm.forward_physical(stage, about)
     assert states.exists.all()
     beyond = (about < -0.5 * np.pi).all(axis=-1).mean()
     assert 0.05 < beyond < 0.5
@@ -53,7 +53,7 @@ def robot_and_states() -> tuple[spm.Manipulator, spm.Configuration]:
 @pytest.mark.parametrize("stage", [SWINGING, BUILT], ids=["nominal", "calibrated"])
 def test_the_inverse_of_a_state_has_its_readings(stage: Stage) -> None:
     states = states_of(stage)
-    found = spm.stages.inverse_physical(stage, states.height, normal=states.normal)
+    found = spm.inverse_physical(stage, states.height, normal=states.normal)
     np.testing.assert_allclose(found.readings, states.readings, rtol=0.0, atol=1e-9)
     assert (found.limit_excess == 0.0).all()
     posed = spm.machine.StageConfiguration(stage, states.pose)
@@ -63,19 +63,19 @@ def test_the_inverse_of_a_state_has_its_readings(stage: Stage) -> None:
 def test_a_stage_is_as_high_and_as_low_as_its_limits_let_it() -> None:
     """The plate is lowest and highest where the law of cosines puts it with readings at their limits."""
     expected = [0.04 * np.sin(q) + np.sqrt(0.12**2 - (0.05 - 0.04 * np.cos(q)) ** 2) for q in (LOW, HIGH)]
-    np.testing.assert_allclose(spm.stages.height_range(SWINGING), expected, rtol=0.0, atol=1e-8)
-    assert spm.stages.home_height(SWINGING) == pytest.approx(
+    np.testing.assert_allclose(spm.workspace.height_range(SWINGING), expected, rtol=0.0, atol=1e-8)
+    assert spm.workspace.home_height(SWINGING) == pytest.approx(
         0.04 * np.sin(-0.75) + np.sqrt(0.12**2 - (0.05 - 0.04 * np.cos(-0.75)) ** 2), abs=1e-12
     )
-    reach = spm.stages.reach(SWINGING, [LOWERED, STRAIGHT_DOWN], directions=8)
+    reach = spm.workspace.reach(SWINGING, [LOWERED, STRAIGHT_DOWN], directions=8)
     assert (reach.tilts > 0.01).all()
-    near = spm.stages.nearest_reachable(SWINGING, 0.055)
+    near = spm.workspace.nearest_reachable_pose(SWINGING, 0.055).configuration
     assert near.height == pytest.approx(expected[0], abs=1e-6)
     np.testing.assert_allclose(near.readings, LOW, rtol=0.0, atol=1e-3)
 
 
 def test_a_path_through_straight_down_meets_no_limit() -> None:
-    path = spm.stages.follow(SWINGING, height=[RAISED, LOWERED])
+    path = spm.follow(SWINGING, height=[RAISED, LOWERED])
     assert path.complete
     assert not path.events
     assert np.abs(np.diff(path.configurations.readings, axis=0)).max() < 0.05
@@ -122,7 +122,7 @@ int readings(const char *path, const double *start, double height, double *found
     compile_c(compilers()[0], "-fPIC", "-shared", tmp_path / "module.c", "-lm", "-o", tmp_path / "module.so")
     library, start, found = ctypes.CDLL(str(tmp_path / "module.so")), np.full(3, -1.9), np.empty(3)
     library.readings.argtypes = [ctypes.c_char_p, ctypes.c_void_p, ctypes.c_double, ctypes.c_void_p]
-    low, path = spm.stages.forward_physical(SWINGING, start), str(tmp_path / "stage_machine.txt").encode()
+    low, path = spm.forward_physical(SWINGING, start), str(tmp_path / "stage_machine.txt").encode()
     assert library.readings(path, start.ctypes.data, float(low.height), found.ctypes.data) == 0
     np.testing.assert_allclose(found, start, rtol=0.0, atol=1e-9)
 
@@ -130,11 +130,11 @@ int readings(const char *path, const double *start, double height, double *found
 def test_set_points_lower_the_plate_through_straight_down(tmp_path: Path) -> None:
     heights = np.linspace(STRAIGHT_DOWN, LOWERED, 71)
     ticks = [set_point(k + 1, 0.0, 0.0, height) for k, height in enumerate(heights)] + [b""] * 20
-    start = spm.stages.inverse_physical(SWINGING, STRAIGHT_DOWN).readings
+    start = spm.inverse_physical(SWINGING, STRAIGHT_DOWN).readings
     readings, status, _ = run(compiled(SWINGING, tmp_path), ticks, start=start)
     assert set(status) == {0}
     assert (np.diff(readings, axis=0) < 1e-5).all()
-    reached = spm.stages.forward_physical(SWINGING, readings[-1])
+    reached = spm.forward_physical(SWINGING, readings[-1])
     assert reached.height == pytest.approx(LOWERED, abs=1e-5)
 
 

@@ -24,23 +24,23 @@ BALANCER = STAGES["RRS"]
 def test_a_level_balancer_has_the_readings_of_a_triangle() -> None:
     """Pivot (0, 0), ball (9, 12) cm; crank 9 cm, rod 12 cm: the knee is at a corner of the rectangle."""
     stage = Stage(0.03, 0.12, spm.RRS(crank=0.09, rod=0.12))
-    state = spm.stages.inverse_physical(stage, 0.12)
+    state = spm.inverse_physical(stage, 0.12)
     np.testing.assert_allclose(state.readings, 0.0, atol=1e-14)
     np.testing.assert_allclose(state.translation, [0.0, 0.0, 0.12])
-    inwards = spm.stages.inverse_physical(Stage(0.03, 0.12, spm.RRS(crank=0.09, rod=0.12, sign=1)), 0.12)
+    inwards = spm.inverse_physical(Stage(0.03, 0.12, spm.RRS(crank=0.09, rod=0.12, sign=1)), 0.12)
     np.testing.assert_allclose(inwards.readings, 2.0 * np.arctan2(12.0, 9.0), atol=1e-14)
 
 
 def test_a_tilt_an_azimuth_and_roll_and_pitch_mean_what_scipy_means() -> None:
-    state = spm.stages.inverse_physical(BALANCER, 0.12, roll=0.1, pitch=-0.15)
+    state = spm.inverse_physical(BALANCER, 0.12, roll=0.1, pitch=-0.15)
     np.testing.assert_allclose(state.pose.rotation.as_euler("xyz")[:2], [0.1, -0.15], atol=1e-15)
     np.testing.assert_allclose([state.roll, state.pitch], [0.1, -0.15], atol=1e-15)
-    leaning = spm.stages.inverse_physical(BALANCER, 0.12, tilt=0.2, azimuth=np.pi / 2)
+    leaning = spm.inverse_physical(BALANCER, 0.12, tilt=0.2, azimuth=np.pi / 2)
     np.testing.assert_allclose([leaning.tilt, leaning.azimuth], [0.2, np.pi / 2])
     lowest = leaning.balls[:, 2].argmin()
     assert lowest == 1, "leg 2 stands at 90°, where the platform is lowest"
     assert leaning.readings[1] < leaning.readings[[0, 2]].min()
-    same = spm.stages.inverse_physical(BALANCER, 0.12, normal=leaning.normal)
+    same = spm.inverse_physical(BALANCER, 0.12, normal=leaning.normal)
     np.testing.assert_allclose(same.readings, leaning.readings, atol=1e-14)
 
 
@@ -48,7 +48,7 @@ def test_a_stage_as_drawn_shifts_as_the_literature_says() -> None:
     """By r (-2 x1 x2, x2² - x1²) of the quaternion, without torsion; mode F by the opposite, turned half round."""
     normals, heights = requests(1.1, 50)
     stage = STAGES["RPS"]
-    t, f = (spm.stages.inverse(stage, heights, normal=normals)[label] for label in "TF")
+    t, f = (spm.inverse_displacement(stage, heights, normal=normals)[label] for label in "TF")
     x1, x2 = t.pose.rotation.as_quat()[:, :2].T
     shift = stage.platform_radius * np.stack([-2.0 * x1 * x2, x2**2 - x1**2], axis=-1)
     np.testing.assert_allclose(t.shift, shift, atol=1e-15)
@@ -84,7 +84,7 @@ def fifty_digits(stage: Stage, normal: np.ndarray, height: float, state: StageCo
 def test_the_inverse_is_what_another_method_finds_with_fifty_digits(machine: str) -> None:
     stage, height = stage_and_height(machine)
     normals, heights = requests(height, 3, seed=5)
-    solutions = spm.stages.inverse(stage, heights, normal=normals)
+    solutions = spm.inverse_displacement(stage, heights, normal=normals)
     assert solutions.count.sum() >= 2
     for k, m in np.argwhere(solutions.exists):
         state = solutions.configurations[k, m]
@@ -104,11 +104,11 @@ def test_readings_lead_back_to_the_pose_and_sides_are_rigid(machine: str) -> Non
     np.testing.assert_allclose(error, 0.0, atol=1e-15)
     assert states.closure_residual.max() < 1e-15
     assert states.is_at_home.all()
-    again = spm.stages.forward_physical(stage, states.readings)
+    again = spm.forward_physical(stage, states.readings)
     assert again.exists.all()
     np.testing.assert_allclose(again.translation, states.translation, atol=1e-11)
     np.testing.assert_allclose(again.rotation, states.rotation, atol=1e-11)
-    led = spm.stages.forward_physical(stage, states.readings[1:100], near=states[:99])
+    led = spm.forward_physical(stage, states.readings[1:100], near=states[:99])
     np.testing.assert_allclose(led.translation[led.exists], states.translation[1:100][led.exists], atol=1e-11)
     assert led.exists.mean() > 0.95
 
@@ -121,12 +121,12 @@ def test_a_million_states_of_each_kind_are_led_back_to(machine: str) -> None:
     of_the_kind = sum(name.startswith(machine[:3]) for name in MACHINES)
     for seed in range(-(-10 // of_the_kind)):
         normals, heights = requests(height, 120_000, seed)
-        states = spm.stages.inverse_physical(stage, heights, normal=normals)
-        near = spm.stages.singularities(states)
+        states = spm.inverse_physical(stage, heights, normal=normals)
+        near = spm.singularities(states)
         distance = np.minimum(near.forward, near.leg.min(axis=-1))
         states, distance = states[distance > 1e-3][:100_000], distance[distance > 1e-3][:100_000]
         assert len(states) == 100_000
-        again = spm.stages.forward_physical(stage, states.readings)
+        again = spm.forward_physical(stage, states.readings)
         assert again.exists.all()
         error = np.abs(again.balls - states.balls).max(axis=(-1, -2)) / stage.size
         assert (error * distance).max() < 1e-14
@@ -146,20 +146,20 @@ def test_states_to_which_newton_s_method_does_not_lead_are_found(
 ) -> None:
     """From the level stage Newton's method wanders, though a regular state of the home's aspect has these readings."""
     stage = Stage(1.0, platform_radius, legs)
-    state = spm.stages.inverse_physical(stage, height, tilt=tilt, azimuth=azimuth)
-    again = spm.stages.forward_physical(stage, state.readings)
+    state = spm.inverse_physical(stage, height, tilt=tilt, azimuth=azimuth)
+    again = spm.forward_physical(stage, state.readings)
     np.testing.assert_allclose(again.balls, state.balls, atol=1e-12)
 
 
 def test_a_state_is_found_where_newton_s_method_leads_into_another_working_mode() -> None:
     stage = Stage(1.0, 1.14, spm.RRS(crank=1.72, rod=1.16))
     readings = np.array([2.341, 3.011, -0.557])
-    state = spm.stages.forward_physical(stage, readings)
-    modes = spm.stages.forward(stage, readings)
+    state = spm.forward_physical(stage, readings)
+    modes = spm.forward_displacement(stage, readings)
     assert modes.is_physical.sum() == 1
     np.testing.assert_allclose(state.balls, modes.physical().balls, atol=1e-12)
     # The inverse of its normal and height has the same readings.
-    again = spm.stages.inverse_physical(stage, state.height, normal=state.normal)
+    again = spm.inverse_physical(stage, state.height, normal=state.normal)
     np.testing.assert_allclose(again.readings, readings, atol=1e-12)
 
 
@@ -167,8 +167,8 @@ def test_a_state_is_found_where_newton_s_method_leads_into_another_working_mode(
 def test_what_the_physical_inverse_returns_is_in_the_set_of_both(machine: str) -> None:
     stage, height = stage_and_height(machine)
     normals, heights = requests(height, 200)
-    both = spm.stages.inverse(stage, heights, normal=normals)
-    physical = spm.stages.inverse_physical(stage, heights, normal=normals)
+    both = spm.inverse_displacement(stage, heights, normal=normals)
+    physical = spm.inverse_physical(stage, heights, normal=normals)
     np.testing.assert_array_equal(both.physical().readings, physical.readings)
     np.testing.assert_array_equal(both.physical().rotation, physical.rotation)
     assert not both.is_physical[:, 1].any()
@@ -191,10 +191,10 @@ def test_all_sixteen_modes_and_no_others(machine: str, count: int) -> None:
         )
         stage = reference.from_parameters(parameters)
         normals, heights = requests(height, 1, seed=int(rng.integers(1000)))
-        state = spm.stages.inverse(stage, heights[0], normal=normals[0])["T"]
+        state = spm.inverse_displacement(stage, heights[0], normal=normals[0])["T"]
         if not state.exists:
             continue
-        modes = spm.stages.forward(stage, state.readings)
+        modes = spm.forward_displacement(stage, state.readings)
         assert modes.status is spm.Status.OK
         centres, radii = stage.legs.circles(state.readings)
         expected = real_modes(stage.legs.axes, centres, stage.legs.balls, radii)
@@ -210,7 +210,7 @@ def test_all_sixteen_modes_and_no_others(machine: str, count: int) -> None:
 def test_modes_of_the_tripod_are_those_of_the_robots_stage() -> None:
     robot = spm.Manipulator.of_stages(STAGES["RPS"], STAGES["RPS"])
     lengths = np.array([1.2, 1.25, 1.4])
-    modes = spm.stages.forward(STAGES["RPS"], lengths)
+    modes = spm.forward_displacement(STAGES["RPS"], lengths)
     whole = spm.forward_displacement(robot, np.tile(lengths, 2))
     for k, label in enumerate(modes.labels):
         assert modes.exists[k] == np.isfinite(whole.middle_joints[16 * k :][:16]).any()
@@ -225,7 +225,7 @@ def test_the_robot_of_two_stages_is_one_on_the_other_turned_over(machine: str) -
     lower, height = stage_and_height(machine)
     upper = lower.perturbed(9, length=5e-3 * lower.size, angle=5e-3)
     both_requests = zip((lower, upper), (requests(height, 30, seed) for seed in (0, 4)), strict=True)
-    below, above = (spm.stages.inverse_physical(stage, z, normal=n) for stage, (n, z) in both_requests)
+    below, above = (spm.inverse_physical(stage, z, normal=n) for stage, (n, z) in both_requests)
     both = below.exists & above.exists
     below, above = below[both], above[both]
     half_turn = RigidTransform.from_rotation(Rotation.from_rotvec([0.0, np.pi, 0.0]))
@@ -251,16 +251,16 @@ def test_the_upper_stage_keeps_its_limits() -> None:
 
 def test_a_locked_stage_that_moves_is_degenerate() -> None:
     stage = Stage(0.23, 0.46)
-    assert spm.stages.forward(stage, [1.0, 1.0, 1.0]).status is spm.Status.DEGENERATE
-    assert spm.stages.forward(stage, [0.1, 0.1, 0.1]).status is spm.Status.UNREACHABLE
+    assert spm.forward_displacement(stage, [1.0, 1.0, 1.0]).status is spm.Status.DEGENERATE
+    assert spm.forward_displacement(stage, [0.1, 0.1, 0.1]).status is spm.Status.UNREACHABLE
 
 
 def test_the_3spr_is_the_stage_seen_from_its_other_plate() -> None:
     """A fixed plate of balls, a moving one of pivots: the pose is the inverse, the tilt the same."""
     stage = STAGES["RPS"]
-    level = spm.stages.inverse_physical(stage, 1.0, tilt=0.3, azimuth=0.7)
+    level = spm.inverse_physical(stage, 1.0, tilt=0.3, azimuth=0.7)
     wanted = 1.2
-    state = spm.stages.inverse_physical(
+    state = spm.inverse_physical(
         stage, (wanted - level.normal[:2] @ level.shift) / level.normal[2], tilt=0.3, azimuth=0.7
     )
     pivots_seen = state.pose.inv()
@@ -271,50 +271,55 @@ def test_the_3spr_is_the_stage_seen_from_its_other_plate() -> None:
 
 def test_limits_mark_and_choose() -> None:
     stage = Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), limits=(0.0, 0.4))
-    state = spm.stages.inverse_physical(stage, 0.12, tilt=0.2, azimuth=np.pi / 2)
+    state = spm.inverse_physical(stage, 0.12, tilt=0.2, azimuth=np.pi / 2)
     assert "beyond the limits: r_1, r_3" in repr(state)
     assert list(np.sign(state.limit_excess)) == [1.0, 0.0, 1.0]
-    solutions = spm.stages.inverse(stage, 0.12, tilt=0.2, azimuth=np.pi / 2)
+    solutions = spm.inverse_displacement(stage, 0.12, tilt=0.2, azimuth=np.pi / 2)
     assert not solutions.within().exists.any()
     assert solutions.within(spm.machine.StageLimits(-1.0, 1.0)).exists.any()
 
 
 def test_why_there_is_no_solution_is_said() -> None:
     cylinders = STAGES["RPS"]
-    for solve in (spm.stages.inverse, spm.stages.inverse_physical, spm.stages.reach, spm.stages.nearest_reachable):
+    for solve in (
+        spm.inverse_displacement,
+        spm.inverse_physical,
+        spm.workspace.reach,
+        spm.workspace.nearest_reachable_pose,
+    ):
         for stage, number, unit in ((BALANCER, 120.0, "mm"), (BALANCER, -12.0, "cm"), (cylinders, 1100.0, "mm")):
             with pytest.raises(spm.ArgumentError, match=f"heights?: .*metres.*Is it {abs(number):g} {unit}"):
                 solve(stage, number)
-    for solve in (spm.stages.forward, spm.stages.forward_physical):
+    for solve in (spm.forward_displacement, spm.forward_physical):
         with pytest.raises(spm.ArgumentError, match=r"readings: .*metres.*Is it 120 cm\?"):
             solve(cylinders, [110.0, 120.0, 115.0])
-    far = spm.stages.inverse(BALANCER, 0.8)
+    far = spm.inverse_displacement(BALANCER, 0.8)
     assert far.status is spm.Status.UNREACHABLE
     for height in (-0.12, -0.8):
-        assert "The height is negative: below the pivots." in repr(spm.stages.inverse_physical(BALANCER, height))
-    assert "negative" not in repr(spm.stages.forward(cylinders, [0.1, 0.1, 3.0]).physical())
-    assert "out of reach of r_1" in spm.stages.inverse_physical(BALANCER, 0.2).missing_reason
-    assert "angles are in radians" in repr(spm.stages.inverse(BALANCER, 0.12, tilt=2.0, azimuth=0.0))
-    assert "tilt is 57°" in repr(spm.stages.inverse_physical(BALANCER, 0.12, roll=1.0))
+        assert "The height is negative: below the pivots." in repr(spm.inverse_physical(BALANCER, height))
+    assert "negative" not in repr(spm.forward_displacement(cylinders, [0.1, 0.1, 3.0]).physical())
+    assert "out of reach of r_1" in spm.inverse_physical(BALANCER, 0.2).missing_reason
+    assert "angles are in radians" in repr(spm.inverse_displacement(BALANCER, 0.12, tilt=2.0, azimuth=0.0))
+    assert "tilt is 57°" in repr(spm.inverse_physical(BALANCER, 0.12, roll=1.0))
     with pytest.raises(spm.ArgumentError, match=r"tilt: .*radians.*, got 15\. Are they in degrees"):
-        spm.stages.inverse(BALANCER, 0.12, tilt=15.0, azimuth=0.0)
-    absent = spm.stages.inverse_physical(BALANCER, [0.12, 0.8]).readings
+        spm.inverse_displacement(BALANCER, 0.12, tilt=15.0, azimuth=0.0)
+    absent = spm.inverse_physical(BALANCER, [0.12, 0.8]).readings
     with pytest.raises(spm.ArgumentError, match=r"got nan at index \(1, 0\)\. .* a missing solution"):
-        spm.stages.forward_physical(BALANCER, absent)
+        spm.forward_physical(BALANCER, absent)
     with pytest.raises(spm.ArgumentError, match=r"got -0\.1\. For a tilt to the opposite side"):
-        spm.stages.inverse(BALANCER, 0.12, tilt=-0.1, azimuth=0.0)
+        spm.inverse_displacement(BALANCER, 0.12, tilt=-0.1, azimuth=0.0)
     with pytest.raises(spm.ArgumentError, match=r"azimuth: .*radians.*, got 15\. Are they in degrees"):
-        spm.stages.inverse(BALANCER, 0.12, tilt=0.1, azimuth=15.0)
+        spm.inverse_displacement(BALANCER, 0.12, tilt=0.1, azimuth=15.0)
     with pytest.raises(spm.ArgumentError, match=r"readings: .*r_1, r_2, r_3 in radians, got shape"):
-        spm.stages.forward(BALANCER, [0.1, 0.2])
+        spm.forward_displacement(BALANCER, [0.1, 0.2])
     with pytest.raises(spm.ArgumentError, match="azimuth: expected a tilt with its azimuth"):
-        spm.stages.inverse(BALANCER, 0.12, tilt=0.1)
+        spm.inverse_displacement(BALANCER, 0.12, tilt=0.1)
     with pytest.raises(spm.ArgumentError, match="tilt and roll: expected one of"):
-        spm.stages.inverse(BALANCER, 0.12, tilt=0.1, azimuth=0.0, roll=0.1)
+        spm.inverse_displacement(BALANCER, 0.12, tilt=0.1, azimuth=0.0, roll=0.1)
     with pytest.raises(spm.ArgumentError, match="In degrees"):
-        spm.stages.forward(BALANCER, [6.0, 5.0, 7.0])
+        spm.forward_displacement(BALANCER, [6.0, 5.0, 7.0])
     with pytest.raises(spm.ArgumentError, match="a state of this stage"):
-        spm.stages.forward_physical(STAGES["RPS"], [1.2, 1.2, 1.2], near=spm.stages.inverse_physical(BALANCER, 0.12))
+        spm.forward_physical(STAGES["RPS"], [1.2, 1.2, 1.2], near=spm.inverse_physical(BALANCER, 0.12))
 
 
 @pytest.mark.parametrize(
@@ -367,15 +372,15 @@ def test_unusual_dimensions_are_a_machine_and_give_a_hint(make: object, hint: st
 def test_a_table_is_read_by_the_names_of_the_legs() -> None:
     pandas = pytest.importorskip("pandas")
     table = pandas.DataFrame({"r_3": [0.6], "r_1": [0.2], "r_2": [0.4]})
-    np.testing.assert_array_equal(spm.stages.forward_physical(BALANCER, table).readings, [[0.2, 0.4, 0.6]])
+    np.testing.assert_array_equal(spm.forward_physical(BALANCER, table).readings, [[0.2, 0.4, 0.6]])
     with pytest.raises(spm.ArgumentError, match=r"expected columns r_1, r_2, r_3, got a table with x, y, z"):
-        spm.stages.forward_physical(BALANCER, table.set_axis(["x", "y", "z"], axis="columns"))
+        spm.forward_physical(BALANCER, table.set_axis(["x", "y", "z"], axis="columns"))
 
 
 def test_where_a_state_was_sought_from_is_said() -> None:
-    home, apart = spm.stages.inverse_physical(BALANCER, 0.12), [1.5, -1.5, 1.5]
-    assert "from the level platform" in spm.stages.forward_physical(BALANCER, apart).missing_reason
-    assert "from `near` in a straight line" in spm.stages.forward_physical(BALANCER, apart, near=home).missing_reason
+    home, apart = spm.inverse_physical(BALANCER, 0.12), [1.5, -1.5, 1.5]
+    assert "from the level platform" in spm.forward_physical(BALANCER, apart).missing_reason
+    assert "from `near` in a straight line" in spm.forward_physical(BALANCER, apart, near=home).missing_reason
 
 
 @pytest.mark.parametrize("machine", MACHINES)
@@ -406,13 +411,13 @@ def test_copies_and_other_dimensions_stay_drawn() -> None:
     assert copy.is_nominal
     wider = dataclasses.replace(BALANCER, base_radius=0.085)
     np.testing.assert_allclose(np.linalg.norm(wider.legs.pivots, axis=-1), 0.085)
-    state = spm.stages.inverse_physical(BALANCER, [0.11, 0.12])
+    state = spm.inverse_physical(BALANCER, [0.11, 0.12])
     again = pickle.loads(pickle.dumps(state))
     np.testing.assert_array_equal(again.readings, state.readings)
 
 
 def test_a_platform_turned_over_has_no_answer_under_ok() -> None:
-    found = spm.stages.inverse(BALANCER, 0.1, normal=[[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
+    found = spm.inverse_displacement(BALANCER, 0.1, normal=[[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
     assert list(found.status) == [spm.Status.UNREACHABLE, spm.Status.OK]
     assert np.isfinite(found.rotation[1, 0]).all()
 
@@ -422,7 +427,7 @@ def test_a_pose_close_to_turned_over_is_right_or_absent(from_over: float, exists
     """Of a stage as drawn mode T is the turn about the level axis across the azimuth."""
     stage, tilt, azimuth = STAGES["RPS"], np.pi - from_over, 0.7
     turn = Rotation.from_rotvec(tilt * np.array([-np.sin(azimuth), np.cos(azimuth), 0.0]))
-    state, normal = spm.stages.inverse(stage, 0.5, tilt=tilt, azimuth=azimuth)["T"], turn.as_matrix()[:, 2]
+    state, normal = spm.inverse_displacement(stage, 0.5, tilt=tilt, azimuth=azimuth)["T"], turn.as_matrix()[:, 2]
     assert state.exists == exists
     on_arrays = spm.arrays.stage_inverse(stage, normal, np.array(0.5))
     in_casadi = spm.casadi.stage_inverse(stage)(normal, 0.5)
@@ -437,7 +442,7 @@ def test_two_stages_are_the_robot() -> None:
     stage = STAGES["RPS"]
     robot = spm.Manipulator.of_stages(stage, stage)
     state = spm.forward_physical(robot, [1.2, 1.25, 1.4, 1.3, 1.2, 1.25])
-    alone = spm.stages.forward_physical(stage, [1.2, 1.25, 1.4])
+    alone = spm.forward_physical(stage, [1.2, 1.25, 1.4])
     np.testing.assert_array_equal(alone.balls.round(14), state.middle_joints.round(14))
 
     def lengths(x: np.ndarray) -> np.ndarray:
@@ -451,7 +456,7 @@ def test_two_stages_are_the_robot() -> None:
 
 def test_errors_of_radial_slides_do_not_turn_a_stage_over() -> None:
     nominal = Stage(0.3, 0.2, spm.PRS(rod=0.4, direction=0.0, sign=1))
-    state = spm.stages.inverse_physical(nominal, 0.3, tilt=0.2, azimuth=0.5)
+    state = spm.inverse_physical(nominal, 0.3, tilt=0.2, azimuth=0.5)
     for seed in range(10):
-        built = spm.stages.forward_physical(nominal.perturbed(seed, length=1e-4, angle=1e-4), state.readings)
+        built = spm.forward_physical(nominal.perturbed(seed, length=1e-4, angle=1e-4), state.readings)
         np.testing.assert_allclose(built.balls, state.balls, rtol=0, atol=5e-3)

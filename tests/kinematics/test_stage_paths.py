@@ -8,8 +8,7 @@ from balancers import STAGES, stage_and_height
 
 import spm_pin as spm
 from spm_pin.display import path_figure
-from spm_pin.kinematics import EventKind
-from spm_pin.stages import follow
+from spm_pin.kinematics import EventKind, follow
 
 BALANCER = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), limits=(-0.6, 1.2))
 
@@ -22,13 +21,13 @@ def tilt_at(parameter: float, last: float) -> float:
 def test_a_tilt_meets_the_limit_and_the_leg_s_end_where_the_reach_has_them() -> None:
     path = follow(BALANCER, height=0.12, tilt=[0.0, 1.0], azimuth=-np.pi)
     limited, free = (
-        spm.stages.reach(stage, 0.12, directions=1) for stage in (BALANCER, spm.Stage(0.08, 0.09, BALANCER.kind))
+        spm.workspace.reach(stage, 0.12, directions=1) for stage in (BALANCER, spm.Stage(0.08, 0.09, BALANCER.kind))
     )
     limit, end = path.events
     assert limit.kind is EventKind.LIMIT
     # A reading beyond its limit by 1e-8 of it is within, and the reach goes so far.
     assert tilt_at(limit.parameter, 1.0) == pytest.approx(float(limited.tilts[0, 0]), abs=2e-8)
-    state = spm.stages.inverse_physical(BALANCER, 0.12, tilt=tilt_at(limit.parameter, 1.0), azimuth=-np.pi)
+    state = spm.inverse_physical(BALANCER, 0.12, tilt=tilt_at(limit.parameter, 1.0), azimuth=-np.pi)
     leg = BALANCER.legs.names.index(limit.detail[:3])
     assert state.readings[leg] == pytest.approx(-0.6 if "minimum" in limit.detail else 1.2, abs=1e-9)
     assert end.kind is EventKind.END
@@ -38,7 +37,7 @@ def test_a_tilt_meets_the_limit_and_the_leg_s_end_where_the_reach_has_them() -> 
     top, bottom = path_figure(path).axes
     np.testing.assert_array_equal(top.lines[1].get_ydata(), path.configurations.readings[:, 1])
     assert top.get_ylabel() == "leg reading [rad]"
-    forward = spm.stages.singularities(path.configurations).forward
+    forward = spm.singularities(path.configurations).forward
     np.testing.assert_array_equal(bottom.lines[0].get_ydata(), forward)
     np.testing.assert_allclose(path.configurations.height, 0.12, atol=1e-15)
 
@@ -46,18 +45,18 @@ def test_a_tilt_meets_the_limit_and_the_leg_s_end_where_the_reach_has_them() -> 
 @pytest.mark.parametrize("machine", ["RPS", "RPS as built", "RRS", "RRS as built"])
 def test_readings_lead_as_far_as_the_physical_state_lasts(machine: str) -> None:
     stage, height = stage_and_height(machine)
-    first = spm.stages.inverse_physical(stage, height).readings
+    first = spm.inverse_physical(stage, height).readings
     last = first + 2.0 * (1.0 if stage.unit == "rad" else stage.size) * np.array([-0.3, 0.9, -0.4])
     path = follow(stage, [first, last], samples=20)
     end = path.events[-1]
     assert end.kind is EventKind.END
     assert 0.0 < end.parameter < 1.0
     at, beyond = (first + (end.parameter + x) * (last - first) for x in (-1e-6, 1e-6))
-    assert spm.stages.forward_physical(stage, at, near=path.configurations[len(path.parameters) // 2]).exists
-    assert not spm.stages.forward_physical(stage, beyond).exists
+    assert spm.forward_physical(stage, at, near=path.configurations[len(path.parameters) // 2]).exists
+    assert not spm.forward_physical(stage, beyond).exists
     points = first + path.parameters[:, None] * (last - first)
     np.testing.assert_allclose(path.configurations.readings, points, atol=1e-12)
-    expected = spm.stages.forward_physical(stage, points[:-20])
+    expected = spm.forward_physical(stage, points[:-20])
     np.testing.assert_allclose(path.configurations[:-20].balls, expected.balls, atol=1e-9)
 
 

@@ -8,31 +8,31 @@ from balancers import MACHINES, STAGES, existing_states, stage_and_height
 from finite_differences import extrapolated
 
 import spm_pin as spm
-from spm_pin.kinematics import SingularityKind
+from spm_pin.kinematics import MOTION, SingularityKind
 from spm_pin.machine import Stage
-from spm_pin.stages import MOTION, ReachEnd
+from spm_pin.workspace import ReachEnd
 
 STRETCHED = Stage(0.6, 0.5, spm.RRS(crank=0.3, rod=0.4))
 """With its cranks level the rods lie in line with them, and the platform in the plane of its pivots."""
 BALANCER = Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), limits=(-0.6, 1.2))
 
 
-def states(machine: str, count: int = 12) -> spm.stages.StageConfiguration:
+def states(machine: str, count: int = 12) -> spm.machine.StageConfiguration:
     stage, height = stage_and_height(machine)
     found = existing_states(stage, height, 3 * count)
     regular = (np.abs(found.slopes) > 0.2 * stage.legs.largest_slopes).all(axis=-1)
-    return found[regular & (spm.stages.singularities(found).forward > 0.1)][:count]
+    return found[regular & (spm.singularities(found).forward > 0.1)][:count]
 
 
 @pytest.mark.parametrize("machine", MACHINES)
 def test_the_twists_are_differences_of_poses(machine: str) -> None:
     found = states(machine)
-    jacobian = spm.stages.platform_jacobian(found)
+    jacobian = spm.kinematics.platform_jacobian(found)
     for leg in range(3):
 
         def central(h: float, leg: int = leg) -> np.ndarray:
             steps = h * np.eye(3)[leg], -h * np.eye(3)[leg]
-            a, b = (spm.stages.forward_physical(found.stage, found.readings + step, found) for step in steps)
+            a, b = (spm.forward_physical(found.stage, found.readings + step, found) for step in steps)
             angular = (a.pose.rotation * b.pose.rotation.inv()).as_rotvec()
             return np.concatenate([a.translation - b.translation, angular], axis=-1) / (2.0 * h)
 
@@ -42,24 +42,24 @@ def test_the_twists_are_differences_of_poses(machine: str) -> None:
 @pytest.mark.parametrize("machine", MACHINES)
 def test_rates_both_ways_and_the_parasitic_motion_agree(machine: str) -> None:
     found = states(machine)
-    jacobian, inverse = spm.stages.platform_jacobian(found), spm.stages.inverse_jacobian(found)
+    jacobian, inverse = spm.kinematics.platform_jacobian(found), spm.inverse_jacobian(found)
     np.testing.assert_allclose(inverse @ jacobian[:, MOTION], np.broadcast_to(np.eye(3), inverse.shape), atol=1e-11)
-    parasitic = spm.stages.parasitic_jacobian(found)
+    parasitic = spm.kinematics.parasitic_jacobian(found)
     np.testing.assert_allclose(parasitic @ jacobian[:, MOTION], jacobian, atol=1e-11 * np.abs(jacobian).max())
     motion = [0.1, -0.2, 0.3]
-    twists = np.einsum("nki,ni->nk", jacobian, spm.stages.leg_rates(found, motion))
+    twists = np.einsum("nki,ni->nk", jacobian, spm.leg_rates(found, motion))
     np.testing.assert_allclose(twists[:, MOTION], np.tile(motion, (len(found), 1)), atol=1e-11)
 
 
 @pytest.mark.parametrize("machine", MACHINES)
 def test_what_the_joints_carry_is_in_equilibrium(machine: str) -> None:
     found, wrench = states(machine), np.array([3.0, -2.0, -50.0, 0.4, -0.6, 0.8])
-    loads = spm.stages.joint_loads(found, wrench)
+    loads = spm.kinematics.joint_loads(found, wrench)
     np.testing.assert_allclose(loads.balls.sum(axis=-2), np.tile(-wrench[:3], (len(found), 1)), atol=1e-11)
     arms = found.balls - found.translation[:, None]
     moments = np.cross(arms, loads.balls).sum(axis=-2)
     np.testing.assert_allclose(moments, np.tile(-wrench[3:], (len(found), 1)), atol=1e-11)
-    forces = spm.stages.leg_forces(found, wrench)
+    forces = spm.leg_forces(found, wrench)
     np.testing.assert_allclose(loads.efforts, forces, atol=1e-11)
     if found.stage.unit == "rad":
         # The crank's actuator balances the moment of the ball's force about its axis: a turn that leads outwards.
@@ -68,140 +68,142 @@ def test_what_the_joints_carry_is_in_equilibrium(machine: str) -> None:
 
 
 def test_a_level_tripod_carries_a_third_in_each_leg() -> None:
-    level = spm.stages.inverse_physical(Stage(0.46, 0.46), 1.0)
-    np.testing.assert_allclose(spm.stages.leg_forces(level, [0, 0, -30.0, 0, 0, 0]), 10.0)
-    loads = spm.stages.joint_loads(level, [0, 0, 0, 0, 0, 9.0])
+    level = spm.inverse_physical(Stage(0.46, 0.46), 1.0)
+    np.testing.assert_allclose(spm.leg_forces(level, [0, 0, -30.0, 0, 0, 0]), 10.0)
+    loads = spm.kinematics.joint_loads(level, [0, 0, 0, 0, 0, 9.0])
     np.testing.assert_allclose(np.abs(loads.across), 9.0 / 3.0 / 0.46)
     np.testing.assert_allclose(loads.rods, 0.0, atol=1e-14)
 
 
 def test_singularities_of_all_sorts() -> None:
-    assert spm.stages.singularities(states("RPS")).kind.max() == 0
+    assert spm.singularities(states("RPS")).kind.max() == 0
     # A flat tripod moves with its actuators locked.
-    flat = spm.stages.inverse(STAGES["RPS"], 0.0)["T"]
-    assert spm.stages.singularities(flat).kind & SingularityKind.FORWARD
+    flat = spm.inverse_displacement(STAGES["RPS"], 0.0)["T"]
+    assert spm.singularities(flat).kind & SingularityKind.FORWARD
     with pytest.raises(spm.SingularConfigurationError, match="forward"):
-        spm.stages.platform_jacobian(flat)
+        spm.kinematics.platform_jacobian(flat)
     # A crank and a rod in line.
     reach = np.hypot(0.16, 0.0)
-    line = spm.stages.inverse(STAGES["RRS"], float(np.sqrt(reach**2 - 0.01**2)) - 1e-15)["T"]
-    assert spm.stages.singularities(line, tolerance=1e-6).kind == SingularityKind.LEG
+    line = spm.inverse_displacement(STAGES["RRS"], float(np.sqrt(reach**2 - 0.01**2)) - 1e-15)["T"]
+    assert spm.singularities(line, tolerance=1e-6).kind == SingularityKind.LEG
     # Straight up: a platform on its edge has no torsion of its own.
     normals = np.array([[np.sin(t), 0.0, np.cos(t)] for t in (0.1, 1.0, 2.0, 3.0, 3.14)])
-    distance = spm.stages.singularities(spm.stages.inverse(STAGES["RPS"], 1.0, normal=normals)["T"]).inverse
+    distance = spm.singularities(spm.inverse_displacement(STAGES["RPS"], 1.0, normal=normals)["T"]).inverse
     assert (np.diff(distance) < 0.0).all()
-    both = spm.stages.singularities(spm.stages.inverse(STAGES["RRS"], [0.12, 0.9])["T"])
+    both = spm.singularities(spm.inverse_displacement(STAGES["RRS"], [0.12, 0.9])["T"])
     assert repr(both).startswith("<StageSingularities: (2,) states, 1 exist, all regular; least distances: forward 0.9")
-    assert repr(spm.stages.singularities(line, tolerance=1e-6)).startswith("<StageSingularities: leg; ")
-    gained = spm.stages.singularities(flat).gained_twist
+    assert repr(spm.singularities(line, tolerance=1e-6)).startswith("<StageSingularities: leg; ")
+    gained = spm.singularities(flat).gained_twist
     np.testing.assert_allclose(np.abs(gained[:2]), 0.0, atol=1e-12)
 
 
 def test_the_reach_is_where_states_stop_to_count() -> None:
-    found = spm.stages.reach(BALANCER, 0.12, directions=12)
+    found = spm.workspace.reach(BALANCER, 0.12, directions=12)
     assert (found.ends == ReachEnd.LIMIT).all()
     for beyond, counts in ((-1e-9, True), (1e-9, False)):
-        state = spm.stages.inverse_physical(BALANCER, 0.12, tilt=found.tilts[0] + beyond, azimuth=found.azimuths)
+        state = spm.inverse_physical(BALANCER, 0.12, tilt=found.tilts[0] + beyond, azimuth=found.azimuths)
         np.testing.assert_array_equal((state.limit_excess == 0.0).all(axis=-1), counts)
-    low, high = spm.stages.height_range(BALANCER)
+    low, high = spm.workspace.height_range(BALANCER)
     for height, reading in ((low, -0.6), (high, 1.2)):
-        np.testing.assert_allclose(spm.stages.inverse_physical(BALANCER, height).readings, reading, atol=1e-7)
-    assert np.isnan(spm.stages.reach(BALANCER, high + 1e-6).tilts).all()
-    assert (spm.stages.reach(BALANCER, high + 1e-6).ends == ReachEnd.NOT_LEVEL).all()
+        np.testing.assert_allclose(spm.inverse_physical(BALANCER, height).readings, reading, atol=1e-7)
+    assert np.isnan(spm.workspace.reach(BALANCER, high + 1e-6).tilts).all()
+    assert (spm.workspace.reach(BALANCER, high + 1e-6).ends == ReachEnd.NOT_LEVEL).all()
     # By symmetry of the drawing, every third of a turn is alike.
     np.testing.assert_allclose(found.tilts[0, :4], found.tilts[0, 4:8], atol=1e-9)
-    unlimited = spm.stages.reach(STAGES["RRS"], 0.12, directions=12)
+    unlimited = spm.workspace.reach(STAGES["RRS"], 0.12, directions=12)
     assert (unlimited.tilts > found.tilts).all()
     most = np.degrees(found.tilts.min())
     assert repr(found) == f"<StageReach: 1 heights, {most:.1f}° in every direction at 0.12 m; what ends tilts: limit>"
-    assert repr(spm.stages.reach(BALANCER, high + 1e-6)) == "<StageReach: 1 heights, level at none>"
+    assert repr(spm.workspace.reach(BALANCER, high + 1e-6)) == "<StageReach: 1 heights, level at none>"
     assert set(unlimited.ends.flat) <= {ReachEnd.LEG, ReachEnd.FORWARD}
 
 
 def test_at_the_best_height_the_platform_tilts_farther_all_round_than_at_any_other() -> None:
-    height, tilt = spm.stages.best_height(BALANCER, directions=12)
-    heights = np.linspace(*spm.stages.height_range(BALANCER), 401)
-    others = spm.stages.reach(BALANCER, heights, directions=12).all_round
+    height, tilt = spm.workspace.best_height(BALANCER, directions=12)
+    heights = np.linspace(*spm.workspace.height_range(BALANCER), 401)
+    others = spm.workspace.reach(BALANCER, heights, directions=12).all_round
     assert -1e-4 < tilt - np.nanmax(others) < 0.01
     assert abs(height - heights[np.nanargmax(others)]) <= heights[1] - heights[0]
-    assert spm.stages.reach(BALANCER, height, directions=12).all_round[0] == pytest.approx(tilt, abs=1e-5)
+    assert spm.workspace.reach(BALANCER, height, directions=12).all_round[0] == pytest.approx(tilt, abs=1e-5)
     nowhere = spm.Stage(0.35, 0.2, limits=(0.1, 0.14))
-    assert np.isnan(spm.stages.best_height(nowhere)).all()
+    assert np.isnan(spm.workspace.best_height(nowhere)).all()
 
 
 def test_the_nearest_reachable_tilt_is_no_farther_than_any_of_a_grid() -> None:
     wanted = {"tilt": 0.6, "azimuth": 0.9}
-    nearest = spm.stages.nearest_reachable(BALANCER, 0.12, **wanted)
+    nearest = spm.workspace.nearest_reachable_pose(BALANCER, 0.12, **wanted).configuration
     target = np.array([np.sin(0.6) * np.cos(0.9), np.sin(0.6) * np.sin(0.9), np.cos(0.6)])
     angle = np.arccos(nearest.normal @ target)
     assert not nearest.limit_excess.any()
     tilts, azimuths = np.meshgrid(np.linspace(0.0, 0.7, 141), np.linspace(-np.pi, np.pi, 361))
-    grid = spm.stages.inverse_physical(BALANCER, 0.12, tilt=tilts, azimuth=azimuths)
+    grid = spm.inverse_physical(BALANCER, 0.12, tilt=tilts, azimuth=azimuths)
     counts = grid.exists & (grid.limit_excess == 0.0).all(axis=-1)
     assert angle <= np.arccos((grid.normal @ target)[counts]).min() + 1e-6
-    inside = spm.stages.nearest_reachable(BALANCER, 0.12, tilt=0.1, azimuth=0.9)
+    inside = spm.workspace.nearest_reachable_pose(BALANCER, 0.12, tilt=0.1, azimuth=0.9).configuration
     np.testing.assert_allclose([inside.tilt, inside.azimuth], [0.1, 0.9])
     nothing = spm.Stage(0.08, 0.09, BALANCER.kind, limits=(3.0, 3.1))
-    assert spm.stages.inverse_physical(nothing, 0.1).exists
-    assert not spm.stages.nearest_reachable(nothing, 0.1).exists
+    assert spm.inverse_physical(nothing, 0.1).exists
+    assert not spm.workspace.nearest_reachable_pose(nothing, 0.1).configuration.exists
     with pytest.raises(spm.ArgumentError, match=r"heights: .*Is it 120 mm\?"):
-        spm.stages.reach(BALANCER, heights=120)
-    low = spm.stages.nearest_reachable(BALANCER, 0.01, roll=0.1)
-    np.testing.assert_allclose(low.height, spm.stages.height_range(BALANCER)[0])
+        spm.workspace.reach(BALANCER, heights=120)
+    low = spm.workspace.nearest_reachable_pose(BALANCER, 0.01, roll=0.1).configuration
+    np.testing.assert_allclose(low.height, spm.workspace.height_range(BALANCER)[0])
 
 
 def test_the_nearest_tilt_is_found_where_limits_exclude_the_level_platform() -> None:
-    middle = spm.stages.inverse_physical(BALANCER, 0.12, tilt=0.45, azimuth=0.5).readings
+    middle = spm.inverse_physical(BALANCER, 0.12, tilt=0.45, azimuth=0.5).readings
     limits = spm.machine.StageLimits(middle - 0.1, middle + 0.1)
     tilted = spm.Stage(BALANCER.base_radius, BALANCER.platform_radius, BALANCER.kind, limits)
-    assert np.isnan(spm.stages.height_range(tilted)).all()
+    assert np.isnan(spm.workspace.height_range(tilted)).all()
     grids = np.meshgrid(np.linspace(0.3, 0.6, 301), np.linspace(0.3, 0.7, 201))
-    grid = spm.stages.inverse_physical(tilted, 0.12, tilt=grids[0], azimuth=grids[1])
+    grid = spm.inverse_physical(tilted, 0.12, tilt=grids[0], azimuth=grids[1])
     counts = grid.exists & (grid.limit_excess == 0.0).all(axis=-1)
     assert counts.any()
     for tilt, azimuth in ((0.7, 0.5), (0.0, 0.0), (0.45, 1.2)):
-        nearest = spm.stages.nearest_reachable(tilted, 0.12, tilt=tilt, azimuth=azimuth)
+        nearest = spm.workspace.nearest_reachable_pose(tilted, 0.12, tilt=tilt, azimuth=azimuth).configuration
         assert not nearest.limit_excess.any()
         assert nearest.height == pytest.approx(0.12)
         target = np.array([np.sin(tilt) * np.cos(azimuth), np.sin(tilt) * np.sin(azimuth), np.cos(tilt)])
         least = np.arccos((grid.normal @ target)[counts]).min()
         assert least - 2e-3 < np.arccos(nearest.normal @ target) <= least + 1e-6
     # At a height without any state it is the one of the readings in the middle.
-    assert spm.stages.nearest_reachable(tilted, 0.3, tilt=0.2, azimuth=0.5).height == pytest.approx(0.12)
+    assert spm.workspace.nearest_reachable_pose(
+        tilted, 0.3, tilt=0.2, azimuth=0.5
+    ).configuration.height == pytest.approx(0.12)
 
 
 def test_limits_narrower_than_the_heights_tried_have_their_range() -> None:
     # Legs of equal radii are vertical where the platform is level: its height is their length.
     mirror = spm.Stage(0.05, 0.05, spm.RPS(), limits=(0.09997, 0.10003))
-    np.testing.assert_allclose(spm.stages.height_range(mirror), (0.09997, 0.10003), rtol=2e-8)
-    height, tilt = spm.stages.best_height(mirror, directions=12)
+    np.testing.assert_allclose(spm.workspace.height_range(mirror), (0.09997, 0.10003), rtol=2e-8)
+    height, tilt = spm.workspace.best_height(mirror, directions=12)
     np.testing.assert_allclose(height, 0.1, atol=1e-8)
     # To first order the least stroke of a ball at the radius r, ±r θ, is the limits' half width.
     np.testing.assert_allclose(tilt, 0.00003 / 0.05, rtol=1e-4)
-    assert spm.stages.nearest_reachable(mirror, 0.1, roll=0.01, pitch=0.0).exists
+    assert spm.workspace.nearest_reachable_pose(mirror, 0.1, roll=0.01, pitch=0.0).configuration.exists
 
 
 def test_a_home_is_regular_and_exact() -> None:
     """Of a stage that is singular with level cranks it is in the middle of the heights, from there to all upright."""
-    height = spm.stages.home_height(STRETCHED)
+    height = spm.workspace.home_height(STRETCHED)
     # Highest are cranks and rods in line: sqrt(0.7² - 0.1²).
     assert height == pytest.approx(0.5 * np.sqrt(0.48), abs=1e-7)
-    home = spm.stages.inverse_physical(STRETCHED, height)
-    assert spm.stages.singularities(home).forward > 0.1
+    home = spm.inverse_physical(STRETCHED, height)
+    assert spm.singularities(home).forward > 0.1
     expected = 0.05 * np.sin(0.3) + np.sqrt(0.11**2 - (0.01 - 0.05 * np.cos(0.3)) ** 2)
-    assert spm.stages.home_height(BALANCER) == pytest.approx(expected, abs=1e-14)
-    again = spm.stages.forward_physical(STRETCHED, home.readings)
+    assert spm.workspace.home_height(BALANCER) == pytest.approx(expected, abs=1e-14)
+    again = spm.forward_physical(STRETCHED, home.readings)
     assert again.height == pytest.approx(height, abs=1e-14)
 
 
 def test_a_leg_of_no_length_leaves_the_rest_of_a_batch() -> None:
     flat = spm.Stage(0.05, 0.05)
-    states = spm.stages.inverse(flat, [0.0, 0.1])["T"]
-    singular = spm.stages.singularities(states)
+    states = spm.inverse_displacement(flat, [0.0, 0.1])["T"]
+    singular = spm.singularities(states)
     assert singular.kind[0] == SingularityKind.FORWARD
     assert singular.forward[0] == 0.0
     assert singular.kind[1] == 0
     assert singular.forward[1] > 1.0
-    jacobian = spm.stages.platform_jacobian(states)
+    jacobian = spm.kinematics.platform_jacobian(states)
     assert np.isnan(jacobian[0]).all()
     np.testing.assert_allclose(jacobian[1] @ np.ones(3), [0, 0, 1, 0, 0, 0], atol=1e-14)

@@ -10,13 +10,12 @@ from finite_differences import extrapolated
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.kinematics import compliance, principal_stiffness
-from spm_pin.stages import MOTION
+from spm_pin.kinematics import MOTION, compliance, principal_stiffness
 
 LEGS, STRUCTURE = np.array([1.0, 2.0, 3.0]) * 1e6, np.array([3.0, 1.0, 2.0]) * 4e7
 
 
-def state_of(machine: str) -> spm.stages.StageConfiguration:
+def state_of(machine: str) -> spm.machine.StageConfiguration:
     """Return a regular state of a stage, tilted by some degrees."""
     stage, height = stage_and_height(machine)
     states = existing_states(stage, height, 30)
@@ -24,17 +23,17 @@ def state_of(machine: str) -> spm.stages.StageConfiguration:
     return states[int(np.argmax(np.minimum(singular.forward, singular.leg.min(axis=-1)) * (states.tilt > 0.1)))]
 
 
-def shifted_along_axes(state: spm.stages.StageConfiguration, shifts: npt.ArrayLike) -> spm.stages.StageConfiguration:
+def shifted_along_axes(state: spm.machine.StageConfiguration, shifts: npt.ArrayLike) -> spm.machine.StageConfiguration:
     """Return the state with the same readings of a stage whose pivots are moved along their axes [m]."""
     legs = state.stage.legs
     pivots = legs.pivots + legs.axes * np.asarray(shifts)[:, None]
     moved = spm.machine.Legs(legs.axes, pivots, legs.balls, legs.offsets, legs.kinds)
     stage = spm.Stage(state.stage.base_radius, state.stage.platform_radius, moved)
-    near = spm.stages.inverse_physical(stage, state.height, normal=state.normal)
-    return spm.stages.forward_physical(stage, state.readings, near=near)
+    near = spm.inverse_physical(stage, state.height, normal=state.normal)
+    return spm.forward_physical(stage, state.readings, near=near)
 
 
-def displacements(state: spm.stages.StageConfiguration, structure: bool) -> np.ndarray:
+def displacements(state: spm.machine.StageConfiguration, structure: bool) -> np.ndarray:
     """Return the derivatives of the pose by readings, or by shifts of legs along their axes, (6, 3)."""
 
     def central(h: float) -> np.ndarray:
@@ -44,7 +43,7 @@ def displacements(state: spm.stages.StageConfiguration, structure: bool) -> np.n
                 after, before = (shifted_along_axes(state, x * unit) for x in (h, -h))
             else:
                 ends = (state.readings + x * unit for x in (h, -h))
-                after, before = (spm.stages.forward_physical(state.stage, x, near=state) for x in ends)
+                after, before = (spm.forward_physical(state.stage, x, near=state) for x in ends)
             turned = Rotation.from_matrix(after.rotation @ before.rotation.T).as_rotvec()
             columns.append(np.concatenate([after.translation - before.translation, turned]) / (2.0 * h))
         return np.stack(columns, axis=-1)
@@ -70,11 +69,11 @@ def test_the_compliance_adds_what_a_unit_force_does_to_each_spring(machine: str)
 def test_the_stiffness_in_tilt_and_height_is_the_second_derivative_of_the_springs_energy(machine: str) -> None:
     # Of a level platform the turns about x and y are those of its normal.
     stage, height = stage_and_height(machine)
-    state = spm.stages.inverse_physical(stage, height)
+    state = spm.inverse_physical(stage, height)
 
     def energy(motion: np.ndarray) -> float:
         normal = Rotation.from_rotvec([*motion[1:], 0.0]).apply([0.0, 0.0, 1.0])
-        moved = spm.stages.inverse_physical(state.stage, state.height + motion[0], normal=normal)
+        moved = spm.inverse_physical(state.stage, state.height + motion[0], normal=normal)
         return float(0.5 * (LEGS * (moved.readings - state.readings) ** 2).sum())
 
     scales = np.array([1.0, 1.0 / state.stage.platform_radius, 1.0 / state.stage.platform_radius])
@@ -94,7 +93,7 @@ def test_the_stiffness_in_tilt_and_height_is_the_second_derivative_of_the_spring
 
 def test_a_level_tripod_of_vertical_legs_has_the_stiffness_of_three_springs() -> None:
     radius, k = 0.2, 1e6
-    level = spm.stages.inverse_physical(spm.Stage(radius, radius), 0.5)
+    level = spm.inverse_physical(spm.Stage(radius, radius), 0.5)
     expected = np.diag([3.0 * k, 1.5 * k * radius**2, 1.5 * k * radius**2])
     np.testing.assert_allclose(spm.stiffness(level, k), expected, atol=1e-6)
     principal = principal_stiffness(level, k)
@@ -103,7 +102,7 @@ def test_a_level_tripod_of_vertical_legs_has_the_stiffness_of_three_springs() ->
 
 
 def test_batches_have_the_stiffness_of_their_members_and_nan_where_none_exists() -> None:
-    states = spm.stages.inverse_physical(spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11)), [0.1, 0.12, 0.9])
+    states = spm.inverse_physical(spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11)), [0.1, 0.12, 0.9])
     for structure in (None, 1e7):
         found = spm.stiffness(states, LEGS, structure)
         np.testing.assert_allclose(found[1], spm.stiffness(states[1], LEGS, structure))

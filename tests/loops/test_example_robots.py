@@ -117,7 +117,7 @@ def test_the_stage_of_two_3rps_is_its_closed_form() -> None:
     chain, stage = robot("two_3rps"), spm.Stage(base_radius=0.2, platform_radius=0.11)
     home = chain.close()
     for tilt, azimuth, height in ((0.1, 0.3, 0.41), (0.2, 2.0, 0.39), (0.3, 4.0, 0.4)):
-        state = spm.stages.inverse_physical(stage, height=height, tilt=tilt, azimuth=azimuth)
+        state = spm.inverse_physical(stage, height=height, tilt=tilt, azimuth=azimuth)
         q = chain.forward([*state.readings, 0.41, 0.41, 0.41], near=home)
         translation, rotation = as_stage(pose(chain, q, "middle"))
         np.testing.assert_allclose(translation, state.translation, atol=1e-12)
@@ -131,7 +131,7 @@ def test_the_stage_of_two_3spr_is_the_closed_form_upside_down() -> None:
         np.diag([1.0, -1.0, -1.0]), np.zeros(3)
     )  # seen from the platform that has the hinges, legs 1 and 2 exchanged
     for tilt, azimuth, height in ((0.1, 0.3, 0.41), (0.2, 2.0, 0.39)):
-        state = spm.stages.inverse_physical(stage, height=height, tilt=tilt, azimuth=azimuth)
+        state = spm.inverse_physical(stage, height=height, tilt=tilt, azimuth=azimuth)
         q = chain.forward([*state.readings[[0, 2, 1]], 0.41, 0.41, 0.41], near=home)
         translation, rotation = as_stage(turned * pose(chain, q, "middle").inverse() * turned)
         np.testing.assert_allclose(translation, state.translation, atol=1e-12)

@@ -25,7 +25,7 @@ def test_a_stage_with_an_axis_reversed_has_the_small_tilt_of_its_lengths() -> No
     stage = spm.Stage(0.4, 0.3)
     axes = stage.legs.axes * [[1.0], [-1.0], [1.0]]
     reversed_axis = spm.Stage(0.4, 0.3, Legs(axes, *stage.legs.arrays[1:], stage.legs.kinds))
-    states = [spm.stages.forward_physical(x, [0.5, 0.52, 0.51]) for x in (stage, reversed_axis)]
+    states = [spm.forward_physical(x, [0.5, 0.52, 0.51]) for x in (stage, reversed_axis)]
     np.testing.assert_allclose(states[1].pose.as_matrix(), states[0].pose.as_matrix(), rtol=0, atol=1e-14)
     assert states[0].pose.as_matrix()[2, 2] > np.cos(np.radians(3.0))
 
@@ -49,12 +49,12 @@ def test_legs_turned_beyond_a_quarter_turn_are_refused_and_others_are_the_same_m
         vectors = (x @ turn.as_matrix().T for x in legs.arrays[:3])
         return spm.Stage(stage.base_radius, stage.platform_radius, Legs(*vectors, legs.offsets, legs.kinds))
 
-    expected = spm.stages.inverse_physical(stage, height, tilt=0.1, azimuth=0.3)
+    expected = spm.inverse_physical(stage, height, tilt=0.1, azimuth=0.3)
     for degrees in (-85.0, -60.0, 45.0, 85.0):
         azimuth = 0.3 + np.radians(degrees)
-        state = spm.stages.inverse_physical(turned(degrees), height, tilt=0.1, azimuth=azimuth)
+        state = spm.inverse_physical(turned(degrees), height, tilt=0.1, azimuth=azimuth)
         np.testing.assert_allclose(state.readings, expected.readings, rtol=0, atol=1e-12)
-        assert spm.stages.forward_physical(turned(degrees), expected.readings).tilt == pytest.approx(0.1)
+        assert spm.forward_physical(turned(degrees), expected.readings).tilt == pytest.approx(0.1)
     for degrees in (-95.0, 95.0, 120.0, 180.0, 240.0):
         with pytest.raises(spm.GeometryError) as error:
             turned(degrees)
@@ -65,11 +65,11 @@ def test_legs_turned_beyond_a_quarter_turn_are_refused_and_others_are_the_same_m
 def test_a_stage_of_other_azimuths_is_the_drawn_one_turned(machine: str) -> None:
     stage, height, turn = STAGES[machine], HEIGHTS.get(machine, 0.5), np.radians(30.0)
     other = spm.Stage(stage.base_radius, stage.platform_radius, stage.kind, azimuths=np.radians([0.0, 120.0, 240.0]))
-    state = spm.stages.inverse_physical(stage, height, tilt=0.2, azimuth=0.7)
-    same = spm.stages.inverse_physical(other, height, tilt=0.2, azimuth=0.7 + turn)
+    state = spm.inverse_physical(stage, height, tilt=0.2, azimuth=0.7)
+    same = spm.inverse_physical(other, height, tilt=0.2, azimuth=0.7 + turn)
     np.testing.assert_allclose(same.readings, state.readings, rtol=0, atol=1e-12)
     np.testing.assert_allclose(same.balls, state.balls @ Rotation.from_euler("z", turn).as_matrix().T, atol=1e-12)
-    back = spm.stages.forward_physical(other, state.readings)
+    back = spm.forward_physical(other, state.readings)
     np.testing.assert_allclose(back.pose.as_matrix(), same.pose.as_matrix(), rtol=0, atol=1e-11)
     assert spm.Stage.from_data(other.as_data()) == other
     drawn = spm.Stage(stage.base_radius, stage.platform_radius, stage.kind, azimuths=np.radians([-30.0, 90.0, 210.0]))
@@ -80,13 +80,13 @@ def test_legs_need_not_stand_at_equal_angles() -> None:
     """An RPS leg's length, from the place of its ball and pivot."""
     azimuths = np.radians([-40.0, 80.0, 215.0])
     stage = spm.Stage(0.7, 0.46, azimuths=azimuths)
-    state = spm.stages.inverse_physical(stage, 1.1, roll=0.05, pitch=-0.1)
+    state = spm.inverse_physical(stage, 1.1, roll=0.05, pitch=-0.1)
     around = np.stack([np.cos(azimuths), np.sin(azimuths), 0.0 * azimuths], axis=-1)
     balls = state.pose.apply(0.46 * around)
     np.testing.assert_allclose(np.linalg.norm(balls - 0.7 * around, axis=-1), state.readings, atol=1e-14)
     assert state.closure_residual < 1e-14
     assert np.cross(around, balls)[:, 2] == pytest.approx(0.0, abs=1e-14)
-    np.testing.assert_allclose(spm.stages.forward_physical(stage, state.readings).balls, balls, atol=1e-12)
+    np.testing.assert_allclose(spm.forward_physical(stage, state.readings).balls, balls, atol=1e-12)
 
 
 def test_azimuths_that_are_degrees_or_stand_beside_legs_are_refused() -> None:

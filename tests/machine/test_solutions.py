@@ -16,7 +16,7 @@ from spm_pin.machine.configuration import check_configuration
 from spm_pin.machine.machine import likely_unit
 
 PAPER = spm.Manipulator.paper()
-STAGE = spm.stages.inverse(spm.Stage(0.4, 0.3), 0.5)
+STAGE = spm.inverse_displacement(spm.Stage(0.4, 0.3), 0.5)
 POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
 
 

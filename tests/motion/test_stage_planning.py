@@ -8,8 +8,8 @@ from balancers import MACHINES, STAGES, stage_and_height
 
 import spm_pin as spm
 from spm_pin.errors import ArgumentError, GeometryError, UnreachableError
+from spm_pin.machine import StageConfiguration
 from spm_pin.motion import LegPath, MotionPlan
-from spm_pin.stages import StageConfiguration
 from spm_pin.workspace import JointLimits
 
 

@@ -52,11 +52,11 @@ def test_the_closed_form_of_the_stage(name: str) -> None:
     assert np.abs(state.closure_gap()).max() <= 1e-14
     np.testing.assert_allclose(chain.readings(q), states.readings, atol=1e-14)
     found = state.configuration()
-    assert isinstance(found, spm.stages.StageConfiguration)
+    assert isinstance(found, spm.machine.StageConfiguration)
     np.testing.assert_allclose(found.pose.as_matrix(), states.pose.as_matrix(), atol=1e-14)
-    pairs = [(state.inverse_jacobian(), spm.stages.inverse_jacobian(states))]
-    pairs += [(state.platform_jacobian(), spm.stages.platform_jacobian(states))]
-    pairs += [(state.leg_forces(WRENCH), spm.stages.leg_forces(states, WRENCH))]
+    pairs = [(state.inverse_jacobian(), spm.inverse_jacobian(states))]
+    pairs += [(state.platform_jacobian(), spm.kinematics.platform_jacobian(states))]
+    pairs += [(state.leg_forces(WRENCH), spm.leg_forces(states, WRENCH))]
     for ours, theirs in pairs:
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-13 * np.abs(theirs).max())
 
@@ -254,7 +254,7 @@ def test_a_path_beyond_the_limits_is_refused() -> None:
 def test_cranks_and_rods_in_line_are_an_inverse_singularity() -> None:
     stage = spm.Stage(0.09, 0.09, spm.RRS(crank=0.05, rod=0.11))
     chain = spm.ClosedChain.from_urdf(machine=stage)
-    stretched = spm.stages.StageConfiguration(stage, spm.pose([0.0, 0.0, 0.16], xyx=[0.0, 0.0, 0.0]))
+    stretched = spm.machine.StageConfiguration(stage, spm.pose([0.0, 0.0, 0.16], xyx=[0.0, 0.0, 0.0]))
     state = chain.state(chain.joint_values(stretched))
     for call in (state.inverse_jacobian, state.platform_dynamics, lambda: state.joint_velocities(np.ones(3))):
         with pytest.raises(SingularConfigurationError) as caught:
@@ -285,8 +285,8 @@ def test_a_stage_mounted_on_another_robot_moves_as_plain_equations_say() -> None
 
 def test_the_mode_turned_half_round_is_not_left() -> None:
     chain = spm.ClosedChain.from_urdf(machine=spm.Stage(0.7, 0.46))
-    both = spm.stages.inverse(chain.machine, [1.1, 1.12], tilt=[0.2, 0.25], azimuth=[0.5, 0.7])
-    turned = both.configurations[:, spm.stages.OPERATION_MODES.index("F")]
+    both = spm.inverse_displacement(chain.machine, [1.1, 1.12], tilt=[0.2, 0.25], azimuth=[0.5, 0.7])
+    turned = both.configurations[:, spm.machine.OPERATION_MODES.index("F")]
     assert turned.exists.all()
     q = chain.joint_values(turned)
     for found in (chain.inverse_kinematics(turned.pose[1], q[0]), chain.forward_kinematics(turned.readings[1], q[0])):
@@ -336,7 +336,7 @@ def test_the_same_chain_in_loops() -> None:
 def test_states_of_other_machines_are_refused() -> None:
     chain, states, q = start("RRS")
     wider = spm.Stage(0.081, 0.09, spm.RRS(crank=0.05, rod=0.11))
-    other = spm.stages.inverse_physical(wider, 0.12)
+    other = spm.inverse_physical(wider, 0.12)
     for wrong in (other, spm.forward_physical(spm.Manipulator.paper(), [1.3] * 6)):
         with pytest.raises(GeometryError) as caught:
             chain.joint_values(wrong)

@@ -20,7 +20,7 @@ LIMITS = {
 }
 
 
-def forward_determinants(state: spm.stages.StageConfiguration) -> np.ndarray:
+def forward_determinants(state: spm.machine.StageConfiguration) -> np.ndarray:
     """Return the determinant of the six forces about {B}'s origin, over d³."""
     vectors = state.leg_vectors
     legs = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
@@ -85,7 +85,7 @@ def test_limits_around_a_singularity_do_not_certify() -> None:
     certificate = spm.certify(tripod, (0.3, 1.5), boxes=100_000)
     assert certificate.verdict == "not proved"
     witness = certificate.witness
-    assert isinstance(witness, spm.stages.StageConfiguration)
+    assert isinstance(witness, spm.machine.StageConfiguration)
     assert abs(forward_determinants(witness)) < 1e-9
     assert ((witness.readings >= 0.3) & (witness.readings <= 1.5)).all()
     assert spm.singularities(witness, tolerance=1e-6).kind & spm.kinematics.SingularityKind.FORWARD

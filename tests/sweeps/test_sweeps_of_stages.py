@@ -20,7 +20,7 @@ OF_MANIPULATORS = "branch", "det_upper", "det_structure"
 def limited(machine: str) -> tuple[spm.Stage, float]:
     """Return a stage with limits that some of its tilts keep, and a height at which it stands."""
     stage, height = stage_and_height(machine)
-    level = spm.stages.inverse_physical(stage, height).readings
+    level = spm.inverse_physical(stage, height).readings
     room = 0.4 if stage.unit == "rad" else 0.1 * stage.size
     return dataclasses.replace(stage, limits=spm.machine.StageLimits(level - room, level + room)), height
 
@@ -44,14 +44,14 @@ def test_metrics_of_stages_are_those_of_their_definitions(machine: str, space: S
     assert isinstance(stage, spm.Stage)
     if space == "tilt":
         heights, tilts, azimuths = points.coordinates.T
-        both = spm.stages.inverse(stage, heights, tilt=tilts, azimuth=azimuths)
+        both = spm.inverse_displacement(stage, heights, tilt=tilts, azimuth=azimuths)
         states = both.physical()
         np.testing.assert_array_equal(METRICS["branches"].evaluate(points), both.count)
         np.testing.assert_array_equal(METRICS["branches_within"].evaluate(points), both.within().count)
     else:
-        states = spm.stages.forward_physical(stage, points.coordinates)
+        states = spm.forward_physical(stage, points.coordinates)
         found = METRICS["assembly_modes"].evaluate(points)[points.reachable]
-        modes = spm.stages.forward(stage, points.coordinates[points.reachable])
+        modes = spm.forward_displacement(stage, points.coordinates[points.reachable])
         np.testing.assert_array_equal(found, modes.count)
     reachable = states.exists & (states.limit_excess == 0.0).all(axis=-1)
     assert 0 < np.count_nonzero(reachable) < len(points)
@@ -105,7 +105,7 @@ def test_a_store_of_a_stage_is_written_read_and_continued(machine: str, tmp_path
     results = spm.sweeps.run_sweep(stage, grid, metrics, tmp_path / "tilts.zarr", workers=1, chunk=20)
     assert dict(results.sizes) == {"height": 4, "tilt": 3, "azimuth": 5}
     assert results.azimuth.attrs["units"] == "rad"
-    states = spm.stages.inverse_physical(
+    states = spm.inverse_physical(
         stage,
         results.height.values[:, None, None],
         tilt=results.tilt.values[:, None],
@@ -119,20 +119,46 @@ def test_a_store_of_a_stage_is_written_read_and_continued(machine: str, tmp_path
     sample = spm.sweeps.leg_sample(50, [*zip(low, high, strict=True)], seed=3)
     drawn = spm.sweeps.run_sweep(stage, sample, metrics, tmp_path / "legs.zarr", workers=1)
     readings = np.stack([drawn[leg].values for leg in ("r_1", "r_2", "r_3")], axis=-1)
-    tilts = spm.stages.forward_physical(stage, readings).tilt
+    tilts = spm.forward_physical(stage, readings).tilt
     np.testing.assert_allclose(drawn.platform_tilt.values, tilts)
     assert drawn.r_1.attrs["units"] == stage.unit
 
 
 def test_a_condition_on_states_of_a_stage_is_its_metric() -> None:
     stage, height = limited("RRS as built")
-    states = spm.stages.inverse_physical(stage, np.linspace(0.5, 1.3, 9) * height, tilt=0.2, azimuth=0.1)
+    states = spm.inverse_physical(stage, np.linspace(0.5, 1.3, 9) * height, tilt=0.2, azimuth=0.1)
     values = METRICS["payload_down"].evaluate(
         Points(dataclasses.replace(stage, limits=None), "legs", states.readings[states.exists])
     )
     middle = float(np.median(values))
     kept = spm.sweeps.condition("payload_down", least=middle)(states[states.exists])
     np.testing.assert_array_equal(kept, values >= middle)
+
+
+def test_a_condition_on_a_state_is_not_that_of_another_with_its_readings() -> None:
+    modes = spm.forward_displacement(spm.Stage(0.7, 0.46), [1.2, 1.25, 1.4]).configurations
+    tilts = np.arccos(modes.normal[:, 2])
+    kept = spm.sweeps.condition("platform_tilt", least=0.5 * np.nanmax(tilts))(modes)
+    np.testing.assert_array_equal(kept, tilts >= 0.5 * np.nanmax(tilts))
+    assert 1 < np.count_nonzero(kept) < np.count_nonzero(modes.exists)
+
+
+def test_a_condition_on_the_margin_of_legs_is_that_of_the_machine_s_own_limits() -> None:
+    stage, height = limited("RPS")
+    states = spm.inverse_physical(stage, height, tilt=np.linspace(0.0, 0.5, 30), azimuth=0.3)
+    assert stage.limits is not None
+    margins = np.minimum(states.readings - stage.limits.minimum, stage.limits.maximum - states.readings).min(axis=-1)
+    kept = spm.sweeps.condition("leg_margin", least=0.02)(states)
+    np.testing.assert_array_equal(kept, margins >= 0.02)
+    assert 0 < np.count_nonzero(kept) < 30
+
+
+def test_chunks_are_numbered_without_a_list_of_them() -> None:
+    tilts = spm.sweeps.tilt_grid((0.1, 0.2, 10**6), (0.0, 0.2, 10**5), (0.0, 1.0, 10**5))
+    plan = SweepPlan.make(spm.Stage(0.08, 0.09), tilts, ["reachable"], chunk=10**6)
+    indices = iter(plan)
+    assert plan.count == 10**10
+    assert [next(indices) for _ in range(3)] == [(0, 0, 0), (0, 1, 0), (0, 2, 0)]
 
 
 def test_domains_of_the_other_machine_and_heights_in_another_unit_are_refused(tmp_path: Path) -> None:

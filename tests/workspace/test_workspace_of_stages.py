@@ -7,9 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 from balancers import MACHINES, existing_states, stage_and_height
+from scipy import optimize, stats
 
 import spm_pin as spm
-from spm_pin.workspace import JointLimits, leg_clearance, pose_volume
+from spm_pin.workspace import JointLimits, leg_clearance, orientation_workspace, pose_volume, sample_reachable
 
 BALANCER = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), limits=(-0.6, 1.2))
 
@@ -17,18 +18,18 @@ BALANCER = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), limits=(-0.6, 1.
 @pytest.mark.parametrize("machine", ["RPS", "PRS as built", "RRS", "RRS as built"])
 def test_the_volume_is_that_of_the_heights_and_normals_reached(machine: str) -> None:
     stage, height = stage_and_height(machine)
-    level = spm.stages.inverse_physical(stage, height).readings
+    level = spm.inverse_physical(stage, height).readings
     room = 0.3 if stage.unit == "rad" else 0.06 * stage.size
     stage = dataclasses.replace(stage, limits=spm.machine.StageLimits(level - room, level + room))
     whole = pose_volume(stage, samples=4096, rng=0)
     upper = pose_volume(stage, where=lambda states: states.height > height, samples=4096, rng=0)
     corners = np.stack(np.meshgrid(*stage.reading_limits.T), axis=-1).reshape(-1, 3)
-    states = spm.stages.forward_physical(stage, corners)
+    states = spm.forward_physical(stage, corners)
     low, high, tilt = 0.9 * states.height.min(), 1.1 * states.height.max(), 1.3 * states.tilt.max()
     rng, count = np.random.default_rng(0), 200_000
     heights, cosines = rng.uniform(low, high, count), rng.uniform(np.cos(tilt), 1.0, count)
     azimuths = rng.uniform(-np.pi, np.pi, count)
-    reached = spm.stages.inverse_physical(stage, heights, tilt=np.arccos(cosines), azimuth=azimuths)
+    reached = spm.inverse_physical(stage, heights, tilt=np.arccos(cosines), azimuth=azimuths)
     counts = reached.exists & (reached.limit_excess == 0.0).all(axis=-1)
     box = (high - low) * 2.0 * np.pi * (1.0 - np.cos(tilt))
     for found, share in ((whole, np.mean(counts)), (upper, np.mean(counts & (heights > height)))):
@@ -71,28 +72,121 @@ def test_margins_of_passive_joints_are_those_of_angles_and_of_distances_between_
     np.testing.assert_allclose(limits.clearance_margin(states), clearance - 0.01)
 
 
+@pytest.mark.parametrize("machine", ["RPS as built", "PRS", "RRS"])
+def test_the_orientations_at_a_height_are_the_normals_within_the_reach(machine: str) -> None:
+    """The solid angle of a star-shaped set of normals is ∫ (1 - cos tilt) dφ over its largest tilts."""
+    stage, height = stage_and_height(machine)
+    level = spm.inverse_physical(stage, height).readings
+    room = 0.3 if stage.unit == "rad" else 0.06 * stage.size
+    limits = spm.machine.StageLimits(level - room, level + room)
+    for where in (None, JointLimits(ball_y=(-0.2, 0.3))):
+        found = orientation_workspace(stage, height, limits, where=where, samples=2000, rng=1)
+        within = dataclasses.replace(stage, limits=limits)
+        tilts = spm.workspace.reach(within, height, directions=180, where=where).tilts[0]
+        angle = 2.0 * np.pi * float(np.mean(1.0 - np.cos(tilts)))
+        assert found.volume.low - 0.01 * angle < angle < found.volume.high + 0.01 * angle
+        assert found.volume.unit == "sr"
+        assert found.share.value == pytest.approx(found.volume.value / (4.0 * np.pi))
+        states = found.states
+        np.testing.assert_allclose(states.translation[:, 2], height, rtol=1e-9)
+        np.testing.assert_allclose(found.weights.sum(), found.volume.value)
+        assert limits.contains(states.readings).all()
+        ends = np.interp(found.azimuth, np.linspace(-np.pi, np.pi, 181), np.append(tilts, tilts[0]))
+        assert (found.tilt <= ends + 0.02).all()
+        assert where is None or where(states).all()
+
+
+@pytest.mark.parametrize("machine", ["RPS", "PRS as built", "RRS as built"])
+def test_samples_of_a_stage_are_uniform_in_readings_or_in_heights_and_normals(machine: str) -> None:
+    stage, height = stage_and_height(machine)
+    level = spm.inverse_physical(stage, height).readings
+    room = 0.2 if stage.unit == "rad" else 0.04 * stage.size
+    limits, count = spm.machine.StageLimits(level - room, level + room), 2000
+    drawn = sample_reachable(stage, count, limits, rng=0)
+    assert drawn.shape == (count,)
+    again = spm.inverse_physical(stage, drawn.height, normal=drawn.normal)
+    np.testing.assert_allclose(again.readings, drawn.readings, atol=1e-9 * stage.size)
+    for column in ((drawn.readings - level) / (2.0 * room) + 0.5).T:
+        assert stats.kstest(column, "uniform").pvalue > 1e-4
+    # From a box of heights and normals, those are kept that the closed form allows.
+    rng, number = np.random.default_rng(1), 150_000
+    low, high, tilt = 0.98 * drawn.height.min(), 1.02 * drawn.height.max(), 1.3 * drawn.tilt.max()
+    heights, cosines = rng.uniform(low, high, number), rng.uniform(np.cos(tilt), 1.0, number)
+    azimuths = rng.uniform(-np.pi, np.pi, number)
+    boxed = spm.inverse_physical(stage, heights, tilt=np.arccos(cosines), azimuth=azimuths)
+    kept = boxed[boxed.exists & limits.contains(boxed.readings)]
+    drawn = sample_reachable(stage, count, limits, space="poses", rng=0)
+    for first, second in ((drawn.height, kept.height), (drawn.tilt, kept.tilt), (drawn.azimuth, kept.azimuth)):
+        assert stats.ks_2samp(first, second).pvalue > 1e-4
+    bends = JointLimits(ball_x=(-0.1, 0.1))
+    some = sample_reachable(stage, 50, limits, where=bends, rng=0)
+    assert some.shape == (50,)
+    assert bends(some).all()
+
+
+def test_the_nearest_tilt_within_limits_of_joints_is_the_best_of_a_search_by_scipy() -> None:
+    bends = JointLimits(ball_y=(-0.2, 0.2))
+    target = np.array([np.sin(0.5) * np.cos(0.7), np.sin(0.5) * np.sin(0.7), np.cos(0.5)])
+    found = spm.workspace.nearest_reachable_pose(BALANCER, 0.12, normal=target, where=bends)
+    assert bends(found.configuration)
+    assert not found.configuration.limit_excess.any()
+    assert found.distance == pytest.approx(float(np.arccos(found.configuration.normal @ target)), abs=1e-9)
+    assert found.distance > spm.workspace.nearest_reachable_pose(BALANCER, 0.12, normal=target).distance + 0.05
+
+    def room(x: np.ndarray) -> np.ndarray:
+        state = spm.inverse_physical(BALANCER, 0.12, normal=[x[0], x[1], np.sqrt(1.0 - x @ x)])
+        assert BALANCER.limits is not None
+        readings = [*(state.readings - BALANCER.limits.minimum), *(BALANCER.limits.maximum - state.readings)]
+        return np.array([bends.angle_margin(state), *readings])
+
+    ends = []
+    for start in ([0.0, 0.0], [0.1, 0.1], [0.1, -0.05]):
+        end = optimize.minimize(
+            lambda x: -(x @ target[:2] + np.sqrt(1.0 - x @ x) * target[2]),
+            start,
+            method="SLSQP",
+            constraints={"type": "ineq", "fun": room},
+            options={"ftol": 1e-14},
+        )
+        if room(end.x).min() > -1e-8:
+            ends.append(float(np.arccos(-end.fun)))
+    assert min(ends) == pytest.approx(found.distance, abs=2e-6)
+
+
+def test_what_a_stage_does_not_have_is_refused_with_the_name_of_what_answers() -> None:
+    for function, arguments, answer in (
+        (spm.workspace.reachable_boundary, (), "workspace.reach"),
+        (spm.workspace.reachable_position, ([0.0, 0.0, 0.1],), "workspace.reach"),
+        (spm.workspace.reachable_volume, (), "workspace.pose_volume"),
+    ):
+        with pytest.raises(spm.ArgumentError) as caught:
+            function(BALANCER, *arguments)
+        assert caught.value.argument == "machine"
+        assert answer in caught.value.cause
+
+
 def test_the_reach_ends_where_a_condition_does() -> None:
     joints = JointLimits(ball_y=(-0.25, 0.25))
 
-    def where(states: spm.stages.StageConfiguration) -> np.ndarray:
+    def where(states: spm.machine.StageConfiguration) -> np.ndarray:
         return np.asarray(joints.angle_margin(states) >= 0.0)
 
-    free = spm.stages.reach(BALANCER, 0.12, directions=12)
-    found = spm.stages.reach(BALANCER, 0.12, directions=12, where=where)
+    free = spm.workspace.reach(BALANCER, 0.12, directions=12)
+    found = spm.workspace.reach(BALANCER, 0.12, directions=12, where=where)
     assert (found.tilts <= free.tilts).all()
     assert (found.tilts < free.tilts - 1e-3).any()
     shorter = found.tilts[0] < free.tilts[0] - 1e-9
     for beyond, counts in ((-1e-9, True), (1e-9, False)):
-        states = spm.stages.inverse_physical(BALANCER, 0.12, tilt=found.tilts[0] + beyond, azimuth=found.azimuths)
+        states = spm.inverse_physical(BALANCER, 0.12, tilt=found.tilts[0] + beyond, azimuth=found.azimuths)
         np.testing.assert_array_equal(where(states)[shorter], counts)
     with pytest.raises(spm.ArgumentError) as caught:
-        spm.stages.reach(BALANCER, 0.12, where=lambda states: states.tilt)
+        spm.workspace.reach(BALANCER, 0.12, where=lambda states: states.tilt)
     assert caught.value.argument == "where"
     payload = spm.sweeps.METRICS["payload_down"](push=0.25)
-    level = spm.stages.inverse_physical(BALANCER, 0.12).readings[None]
+    level = spm.inverse_physical(BALANCER, 0.12).readings[None]
     least = 0.97 * float(payload.evaluate(spm.sweeps.Points(BALANCER, "legs", level))[0])
-    held = spm.stages.reach(BALANCER, 0.12, directions=12, where=spm.sweeps.condition(payload, least=least))
-    ends = spm.stages.inverse_physical(BALANCER, 0.12, tilt=held.tilts[0], azimuth=held.azimuths)
+    held = spm.workspace.reach(BALANCER, 0.12, directions=12, where=spm.sweeps.condition(payload, least=least))
+    ends = spm.inverse_physical(BALANCER, 0.12, tilt=held.tilts[0], azimuth=held.azimuths)
     efforts = np.abs(spm.leg_forces(ends, [0, 0, -least, 0, 0, 0])).max(axis=-1)
     assert efforts.max() == pytest.approx(0.25, rel=1e-6)
     assert (held.tilts < free.tilts - 0.01).any()
@@ -104,7 +198,7 @@ def test_tilts_are_reachable_within_limits_of_legs_and_of_joints() -> None:
     joints = JointLimits(ball_y=(-0.3, 0.3))
     for stage in (BALANCER, BALANCER.perturbed(1, length=1e-3, angle=1e-2)):
         answer = spm.workspace.reachable(stage, heights, tilt=tilts, azimuth=azimuths, joints=joints)
-        states = spm.stages.inverse_physical(stage, heights, tilt=tilts, azimuth=azimuths)
+        states = spm.inverse_physical(stage, heights, tilt=tilts, azimuth=azimuths)
         bent = np.abs(spm.machine.joint_angles(states).ball_y).max(axis=-1)
         expected = states.exists & (states.limit_excess == 0.0).all(axis=-1) & (bent <= 0.3)
         assert 0 < np.count_nonzero(expected) < 40

@@ -25,12 +25,13 @@ from spm_pin.display.viewer.robot_scene import FIELD_OF_VIEW, VIEWS, RobotScene,
 from spm_pin.display.viewer.stage_model import StageModel
 from spm_pin.display.writing import to_json
 from spm_pin.errors import ArgumentError, SpmError, require_extra
+from spm_pin.kinematics import inverse_physical
 from spm_pin.kinematics.forward_displacement import starting_configuration
 from spm_pin.machine import Configuration, Manipulator, Stage, StageConfiguration
 from spm_pin.machine.configuration import check_configuration
 from spm_pin.multibody.chain import ClosedChain
-from spm_pin.stages import home_height, inverse_physical
 from spm_pin.support.arguments import Progress
+from spm_pin.workspace import home_height
 
 _log = logging.getLogger(__name__)
 

@@ -14,14 +14,15 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from spm_pin import stages
 from spm_pin.display.viewer.model import Measure, excess_warnings, ranges_of_readings, readings_remarks
 from spm_pin.display.writing import fixed
 from spm_pin.errors import SingularConfigurationError
+from spm_pin.kinematics import inverse_physical, leg_forces, singularities
 from spm_pin.kinematics.path_following import existing_share
-from spm_pin.kinematics.stage_displacement import normals_of_request, read_stage_readings
+from spm_pin.kinematics.stage_displacement import forward_physical, normals_of_request, read_stage_readings
 from spm_pin.machine import Stage, StageConfiguration
 from spm_pin.support.arguments import FloatArray, real_array
+from spm_pin.workspace import height_range, nearest_reachable_pose, reach
 
 _NEAR = 0.1
 """A singularity is near if its smallest singular value, or the relative slope of a leg, is below this."""
@@ -51,7 +52,7 @@ class StageState:
     @cached_property
     def measures(self) -> list[Measure]:
         """Distances of the platform's singularities, and of the nearest leg singularity."""
-        found = stages.singularities(self.shown)
+        found = singularities(self.shown)
         sigmas = {"forward": found.forward, "inverse": found.inverse, "leg's own": found.leg.min()}
         rows = [(name, float(sigma)) for name, sigma in sigmas.items()]
         return [Measure(name, sigma < _NEAR, min(sigma, 1.0), "", sigma, None) for name, sigma in rows]
@@ -60,7 +61,7 @@ class StageState:
     def forces(self) -> FloatArray | None:
         """Efforts of the actuators (3,); None if they cannot hold every load."""
         try:
-            return stages.leg_forces(self.shown, self.wrench)
+            return leg_forces(self.shown, self.wrench)
         except SingularConfigurationError:
             return None
 
@@ -97,12 +98,12 @@ class StageModel:
     def drag(self, target: RigidTransform) -> StageState:
         """Move to the normal and the height of a pose, or to the nearest reachable ones."""
         stage, normal, height = self._stage, target.rotation.as_matrix()[:, 2], float(target.translation[2])
-        wanted = stages.inverse_physical(stage, height, normal=normal)
+        wanted = inverse_physical(stage, height, normal=normal)
         held = self.hold_limits and not self.state.shown.limit_excess.any()
         if wanted.exists and not (held and wanted.limit_excess.any()):
             return self._show(wanted)
         free = stage if held else Stage(stage.base_radius, stage.platform_radius, stage.legs)
-        shown = stages.nearest_reachable(free, height, normal=normal)
+        shown = nearest_reachable_pose(free, height, normal=normal).configuration
         shown = StageConfiguration(stage, shown.pose) if shown.exists else self.state.shown
         rotation, _ = Rotation.align_vectors(normal, shown.normal)
         pose = RigidTransform.from_components([*shown.shift, height], rotation * shown.pose.rotation)
@@ -114,7 +115,7 @@ class StageModel:
     def set_readings(self, readings: npt.ArrayLike) -> StageState:
         """Move to encoder readings (3,) as far as the platform's mode exists."""
         wanted = read_stage_readings(self._stage, readings)
-        before, solve = self.state.shown.readings, partial(stages.forward_physical, self._stage)
+        before, solve = self.state.shown.readings, partial(forward_physical, self._stage)
         share, shown = 1.0, solve(wanted)
         if not shown.exists:
             share = float(existing_share(solve, before, wanted[None])[0])
@@ -155,15 +156,15 @@ class StageModel:
     def pose_ranges(self, convention: str) -> FloatArray:
         """Return the ends (3, 2) of the pose's sliders: heights of the level platform near its own, and tilts there."""
         shown, size = self.state.shown, self._stage.size
-        heights = np.clip(stages.height_range(self._stage), shown.height - size, shown.height + size)
-        tilts = stages.reach(self._stage, shown.height, directions=_DIRECTIONS).tilts
+        heights = np.clip(height_range(self._stage), shown.height - size, shown.height + size)
+        tilts = reach(self._stage, shown.height, directions=_DIRECTIONS).tilts
         largest = np.degrees(np.nanmax(tilts, initial=float(shown.tilt)))
         ends = [(-largest, largest)] * 2 if convention == _ROLL else [(0.0, largest), (-180.0, 180.0)]
         return np.array([1e3 * heights, *ends])
 
     def reading_ranges(self) -> FloatArray:
         """Return the ends (3, 2) of the legs' sliders, in the units of readings."""
-        return ranges_of_readings(self.state.shown, partial(stages.forward_physical, self._stage))
+        return ranges_of_readings(self.state.shown, partial(forward_physical, self._stage))
 
     def command(self) -> str:
         """Return the command line for the state shown, with a file for a stage that dimensions do not describe."""

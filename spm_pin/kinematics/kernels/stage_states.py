@@ -106,8 +106,8 @@ def evaluate_stage(
     """Write the `values` (19,) of a stage and their derivatives `slopes` (13, 3) by its three coordinates.
 
     Returned is where the stage is, `NO_STATE` to `INSIDE`. `legs` (3, 21) are in {B} of a lower stage, in {m} of an
-    upper one; `radius` is r [m], `upward` the sign of Z at home, and `aspect` the wanted one, see `stages.HOME_ASPECT`,
-    whose negative is the home assembly region of a stage that hangs.
+    upper one; `radius` is r [m], `upward` the sign of Z at home, 0 for either, and `aspect` the wanted one, see
+    `stages.HOME_ASPECT`, whose negative is the home assembly region of a stage that hangs.
     """
     x, y, z = coordinates[0], coordinates[1], radius * coordinates[2]
     axes, pivots, corners = vectors_at(legs, AXIS), vectors_at(legs, PIVOT), vectors_at(legs, BALL)
@@ -194,7 +194,7 @@ def evaluate_stage(
     # In the home assembly region at most one of the c_ij is negative, see `is_home_aspect`; no search goes farther.
     if abs(aspect) == HOME_ASPECT:
         negative = negative_pairs(c) if aspect > 0.0 else 6.0 - negative_pairs(c)
-        if negative > 1.0 or not upward * z > 0.0:
+        if negative > 1.0 or upward * z < 0.0:
             return OTHER_ASPECT
     if values[DETERMINANT] > 0.0 and room > 0.0:
         return INSIDE

@@ -1,6 +1,6 @@
 """A Gymnasium environment in MuJoCo: keep a ball on the platform of a stage by its three actuators.
 
-Importing this module registers it, as `gymnasium.make("spm_pin.stages.balancing:spm_pin/BallBalancer-v0")` does:
+Importing this module registers it, as `gymnasium.make("spm_pin.gym:spm_pin/BallBalancer-v0")` does:
 nothing else of the package imports it, or Gymnasium and MuJoCo of the extra `gym`.
 """
 
@@ -16,8 +16,8 @@ from spm_pin.description import Ball, actuated_joints, joint_values, mjcf_text
 from spm_pin.errors import ArgumentError, MissingExtraError
 from spm_pin.kinematics.stage_displacement import forward_physical, inverse_physical
 from spm_pin.machine import RRS, Stage, StageConfiguration
-from spm_pin.stages.reach import height_range
 from spm_pin.support.arguments import FloatArray, check_instance, real_array, real_number, type_and_value
+from spm_pin.workspace import height_range
 
 try:
     import gymnasium

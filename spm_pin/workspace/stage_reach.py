@@ -21,7 +21,6 @@ from spm_pin.kinematics.stage_displacement import (
     forward_physical,
     inverse,
     inverse_physical,
-    normals_of_request,
     normals_of_tilt,
     poses,
     read_heights,
@@ -180,8 +179,8 @@ def reach(
     directions : int
         Number of azimuths, 1 to 10,000.
     where : callable, optional
-        Takes states (n,) and returns which of them count besides, (n,): a bound of a metric, as
-        `spm_pin.sweeps.condition` makes it, or limits of balls and hinges, `spm_pin.workspace.JointLimits`.
+        Takes states (n,) and returns which of them count besides, (n,): `spm_pin.workspace.JointLimits` of balls and
+        hinges, or a bound of a metric, as `spm_pin.sweeps.condition` makes it.
 
     Returns
     -------
@@ -192,7 +191,7 @@ def reach(
     --------
     >>> import numpy as np, spm_pin as spm
     >>> balancer = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), limits=(-0.6, 1.2))
-    >>> np.degrees(spm.stages.reach(balancer, 0.12).all_round).round(2)
+    >>> np.degrees(spm.workspace.reach(balancer, 0.12).all_round).round(2)
     array([22.88])
     """
     check_instance(stage, Stage, "stage")
@@ -201,7 +200,7 @@ def reach(
         low, high = height_range(stage)
         if math.isnan(low):
             expected = "a stage that is level at some height"
-            cause = "Are the limits for other readings? nearest_reachable finds tilted states within them"
+            cause = "Are the limits for other readings? nearest_reachable_pose finds tilted states within them"
             raise ArgumentError("stage", expected, stage, cause)
         levels = np.linspace(low, high, 11)[1:-1]
     else:
@@ -213,12 +212,12 @@ def reach(
     return StageReach(stage, levels, azimuths, tilts, _ends(stage, levels[:, None], azimuths, tilts))
 
 
-def best_height(stage: Stage, *, directions: int = 72) -> tuple[float, float]:
+def best_height(stage: Stage, *, directions: int = 72, where: Condition | None = None) -> tuple[float, float]:
     """Return the height [m] at which a stage tilts farthest in every direction, and that tilt [rad].
 
     Parameters
     ----------
-    stage, directions
+    stage, directions, where
         As for `reach`.
 
     Returns
@@ -231,56 +230,36 @@ def best_height(stage: Stage, *, directions: int = 72) -> tuple[float, float]:
     best, tilt, width = 0.5 * (low + high), math.nan, high - low
     while width > 1e-4 * (high - low):
         heights = np.clip(best + width * np.linspace(-0.5, 0.5, 17), low, high)
-        tilts = reach(stage, heights, directions=directions).all_round
+        tilts = reach(stage, heights, directions=directions, where=where).all_round
         best, tilt, width = float(heights[np.nanargmax(tilts)]), float(np.nanmax(tilts)), width / 6.0
     return best, tilt
 
 
-def nearest_reachable(
-    stage: Stage,
-    height: float,
-    *,
-    tilt: float | None = None,
-    azimuth: float | None = None,
-    roll: float | None = None,
-    pitch: float | None = None,
-    normal: npt.ArrayLike | None = None,
-) -> StageConfiguration:
-    """Find the physical state within the limits whose normal is nearest to a requested one.
+def nearest_tilt(stage: Stage, height: float, target: FloatArray, where: Condition | None = None) -> StageConfiguration:
+    """Return the physical state within the limits whose normal is nearest to a `target` (3,) at a height.
 
-    Parameters
-    ----------
-    stage, height, tilt, azimuth, roll, pitch, normal
-        As for `inverse`, for a single state.
-
-    Returns
-    -------
-    StageConfiguration
-        The requested physical state, if it is within the limits; otherwise, of the states in `reach` at this height,
-        the one whose normal has the smallest angle to the requested one, to 1e-6 rad. If the stage is not level at this
-        height, it is of all states at this height that are found half a degree apart; without any, of `reach` at
-        the nearest height of `height_range`; if that is empty, of all states at the height where the readings are in
-        the middle of their limits. Otherwise it is missing.
+    See `spm_pin.workspace.nearest_reachable_pose`.
     """
-    wanted = inverse_physical(stage, height, tilt=tilt, azimuth=azimuth, roll=roll, pitch=pitch, normal=normal)
+    wanted = inverse_physical(stage, height, normal=target)
     if wanted.shape:
         expected = "a single state, given by a height with tilt and azimuth, roll and pitch, or a normal"
         raise ArgumentError("height", expected, f"a batch of shape {wanted.shape}")
-    if _counts(wanted):
+    if _counts(wanted, where):
         return wanted
-    target = normals_of_request(tilt, azimuth, roll, pitch, normal)
     level = float(height)
-    if not _counts(inverse_physical(stage, level)):
-        if (found := _nearest_of_all(stage, level, target)).exists:
+    if not _counts(inverse_physical(stage, level), where):
+        if (found := _nearest_of_all(stage, level, target, where)).exists:
             return found
         low, high = height_range(stage)
         if math.isnan(low):
             middle = _middle_state(stage)
-            return _nearest_of_all(stage, float(middle.height), target) if middle.exists else found
+            return _nearest_of_all(stage, float(middle.height), target, where) if middle.exists else found
         level = float(np.clip(height, low, high))
+        if not _counts(inverse_physical(stage, level), where):
+            return _nearest_of_all(stage, level, target, where)
     azimuths, width = np.linspace(-math.pi, math.pi, 91), math.pi / 45.0
     for _ in range(5):
-        ends = _largest_tilts(stage, np.array([level]), azimuths, _FEW)
+        ends = _largest_tilts(stage, np.array([level]), azimuths, _FEW, where)
         # In each direction the tilt nearest to the wanted one is its projection, or the end.
         along = np.arctan2(np.cos(azimuths) * target[0] + np.sin(azimuths) * target[1], target[2])
         tilts = np.clip(along, 0.0, ends)
@@ -291,7 +270,7 @@ def nearest_reachable(
     return inverse_physical(stage, level, normal=normals[best])
 
 
-def _nearest_of_all(stage: Stage, height: float, target: FloatArray) -> StageConfiguration:
+def _nearest_of_all(stage: Stage, height: float, target: FloatArray, where: Condition | None) -> StageConfiguration:
     """Return the state at a height that counts whose normal is nearest to the target, even if level ones do not count.
 
     Normals are tried along great circles from the target.
@@ -306,7 +285,7 @@ def _nearest_of_all(stage: Stage, height: float, target: FloatArray) -> StageCon
             return np.asarray(np.cos(angles)[..., None] * target + np.sin(angles)[..., None] * sideways)
 
         def counts(angles: FloatArray, normals: Callable[[FloatArray], FloatArray] = normals) -> BoolArray:
-            return _counts(inverse_physical(stage, height, normal=normals(angles)))
+            return _counts(inverse_physical(stage, height, normal=normals(angles)), where)
 
         good = counts(np.broadcast_to(grid, (len(bearings), len(grid))))
         if not good.any():
@@ -317,7 +296,7 @@ def _nearest_of_all(stage: Stage, height: float, target: FloatArray) -> StageCon
         best = normals(angles)[place, 0]
         bearings, width = bearings[place] + np.linspace(-width, width, 41), width / 15.0
     state = inverse_physical(stage, height, normal=best)
-    if _counts(state):
+    if _counts(state, where):
         return state
     nothing = state.where(np.array(False))
     nothing.missing_reason = f"no state at the height {height:.4g} m is found within the limits"
@@ -328,7 +307,8 @@ def _counts(state: StageConfiguration, where: Condition | None = None) -> BoolAr
     """Return which states are physical, within the limits, and satisfy a condition."""
     good = np.asarray(state.exists & (state.limit_excess == 0.0).all(axis=-1))
     if where is not None:
-        good[good] = check_condition(where, state[good])
+        batch, mask = state if state.shape else state.transformed(lambda array, _: array[None]), np.atleast_1d(good)
+        mask[mask] = check_condition(where, batch[mask])
     return good
 
 
