@@ -95,7 +95,7 @@ def test_the_plate_is_where_mujoco_has_it(name: str) -> None:
         mujoco.mj_forward(model, data)
         equality = data.efc_type[: data.nefc] == mujoco.mjtConstraint.mjCNSTR_EQUALITY
         assert np.abs(data.efc_pos[: data.nefc][equality]).max() < 1e-12
-        state = spm.stages.forward_physical(found.stage, found.readings(q[chain.actuated_in_q]))
+        state = spm.forward_physical(found.stage, found.readings(q[chain.actuated_in_q]))
         seen = found.base.inv() * placed(model, data.qpos, found)
         np.testing.assert_allclose(seen.as_matrix(), state.pose.as_matrix(), rtol=0, atol=1e-9)
         np.testing.assert_allclose(seen.as_matrix(), states.pose[k].as_matrix(), rtol=0, atol=1e-9)
@@ -173,7 +173,7 @@ def test_files_written_for_a_stage_are_read_back(name: str, form: str) -> None:
     if stage.is_nominal:
         np.testing.assert_allclose(found.stage.dimensions, stage.dimensions, rtol=1e-12)
     values = q[:, own.joint_indices(*found.joints)]
-    back = spm.stages.forward_physical(found.stage, found.readings(values))
+    back = spm.forward_physical(found.stage, found.readings(values))
     model, data = own.model, own.model.createData()
     for k, pose in enumerate(found.base * back.pose * found.platform_pose.inv()):
         pin.framesForwardKinematics(model, data, q[k])
