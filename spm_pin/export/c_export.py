@@ -6,7 +6,6 @@ tests, the benchmark and the page's table follow from it; a recipe for one more 
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
@@ -31,7 +30,8 @@ from spm_pin.casadi.symbolic_machine import (
 )
 from spm_pin.description.masses import Masses
 from spm_pin.errors import ArgumentError
-from spm_pin.export.c_texts import checked_prefix, filled, machine_text, marks, template, write_sources
+from spm_pin.export.c_printer import c_function, number
+from spm_pin.export.c_texts import checked_prefix, common_values, machine_text, rendered, write_sources
 from spm_pin.formulas import circles, vectors
 from spm_pin.formulas.planar_legs import LONGEST_CHORD, MOST_TURNED
 from spm_pin.kinematics import (
@@ -76,6 +76,12 @@ class StateFunction:
     answer: Callable[..., npt.ArrayLike]  # from a `Configuration` and the arguments
     meaning: str
     is_of_rps: bool = False  # whether machines of RPS legs alone have it
+
+    def parameters(self, prefix: str) -> str:
+        """Return the parameters in C, where names begin with the prefix."""
+        arguments = "".join(f"const double {name}[{numbers.size}], " for name, numbers in self.arguments.items())
+        machine = f"const {prefix}geometry *geometry, const {prefix}state *state"
+        return f"{machine}, {arguments}double {self.result}[{self.count}]"
 
 
 _WRENCH = np.array([30.0, -20.0, -500.0, 4.0, -6.0, 8.0])
@@ -125,15 +131,8 @@ STATE_FUNCTIONS = (
     ),
 )
 
-_BODIES = """\
-/* Masses for `@PREFIX@gravity` [kg, kg m], assumed ones unless the export was given others: mass and first moments of
-   the middle platform in {n}, with all balls, and of the terminal platform in {m}; then of each leg the mass of the
-   cylinder, and times the distance of its centre from the pivot, and the mass of the rod, and times the distance of its
-   centre from the ball. */
-extern const double @PREFIX@bodies[32];
-
-"""
-_NAMES = "kinematics.h", "kinematics.c", "kinematics_test.c", "read_machine.h"
+_NAMES = "kinematics.h", "kinematics.c", "kinematics_test.c"
+_STAGES = "lower", "upper"
 _CASES = 12
 _SPREAD = 1e3
 _LEAST_SLOPE, _LARGEST_RATE = 0.1, 1e3
@@ -169,47 +168,41 @@ def c_sources(machine: Manipulator, *, prefix: str = "spm_", masses: Masses | No
         raise ArgumentError("machine", expected, f"{smallest:g} to {largest:g} m", "Another unit in one of them?")
     prefix = checked_prefix(prefix)
     available = state_functions(machine)
+    numbers, kinds = machine_fields(machine), machine.legs.kinds
+    stages = list(zip(_STAGES, kinds, strict=True))
+    shown = [f"of the {name} legs, {kind.name}, {kind.meaning} [{kind.unit}]" for name, kind in stages]
     values = {
-        **marks(machine, prefix),
-        "HEADER": "@PREFIX@kinematics.h",
-        "NUMBERS": "(double *)geometry",
-        "IS_MACHINE": "@PREFIX@forward(geometry, geometry->offsets, NULL, &state) != @PREFIX_UPPER@BAD_GEOMETRY",
-        "SINGULAR": repr(SINGULAR),
-        "LEAST": _row(machine.legs.least_readings),
-        "TURNS": _row([float(unit == "rad") for unit in machine.legs.units]),
-        "CHORD": repr(LONGEST_CHORD),
-        "MOST_TURNED": repr(MOST_TURNED),
-        "MOST_STEPS": str(MOST_STEPS),
-        "NEWTON_STEPS": str(circles.MOST_STEPS),
-        "SEARCH_STEPS": str(circles.SEARCH_STEPS),
-        "WANDERING": repr(circles.WANDERING),
-        "SHORTEST": repr(SHORTEST),
-        "ROOT_STEPS": str(ROOT_STEPS),
-        "MACHINE": ",\n".join(f"    {{{_row(numbers)}}}" for numbers in machine_fields(machine).values()),
-        **_legs_texts(machine, masses),
-        "STATUSES": ",\n".join(
-            f"    /* {meaning} */\n    @PREFIX_UPPER@{name} = {value}" for name, (value, meaning) in STATUSES.items()
-        ),
-        "STATUS_NAMES": "\n".join(
-            f'    case @PREFIX_UPPER@{name}: return "{name.lower().replace("_", " ")}";' for name in STATUSES
-        ),
-        "FORMULAS": _formulas(machine),
+        **common_values(machine, prefix),
+        "header": f"{prefix}kinematics.h",
+        "numbers": "(double *)geometry",
+        "is_machine": f"{prefix}forward(geometry, geometry->offsets, NULL, &state) != {prefix.upper()}BAD_GEOMETRY",
+    }
+    reader = rendered("read_machine.h", values | {"fields": numbers})
+    values |= {
+        "fields": numbers,
+        "functions": available,
+        "formulas": _formulas(machine),
+        "legs": machine.legs,
+        "stages": [(name, kind, [x.name for x in fields(kind)]) for name, kind in stages],
+        "readings": f"{kinds[0].meaning} [m]" if machine.legs.are_rps else "; ".join(shown),
+        "turns": [unit == "rad" for unit in machine.legs.units],
+        "bodies": functions.bodies(machine, masses) if machine.legs.are_rps else None,
+        "statuses": STATUSES,
+        "circles": circles,
+        "singular": SINGULAR,
+        "chord": LONGEST_CHORD,
+        "most_turned": MOST_TURNED,
+        "most_steps": MOST_STEPS,
+        "shortest": SHORTEST,
+        "root_steps": ROOT_STEPS,
+        "numbers": _row,
+        "table": _table,
         **_known_answers(machine, available),
     }
-    snippets = [values | _snippets(function) for function in available]
-    for key, of_one in (
-        ("STATE_FUNCTIONS", template("state_function.c")),
-        ("PROTOTYPES", "/* @COMMENT@. */\nint @PREFIX@@NAME@(@PARAMETERS@);\n\n"),
-        (
-            "CALLS",
-            '    expect("@NAME@", n, @PREFIX@@NAME@(@CALL@), @PREFIX_UPPER@OK);\n'
-            '    compare("@NAME@", n, numbers, @NAME@_answers[n], @COUNT@);\n',
-        ),
-    ):
-        values[key] = "".join(filled(of_one, snippet) for snippet in snippets)
-    texts = {f"{prefix}{name}": filled(template(name), values) for name in _NAMES}
-    texts[f"{prefix}machine.txt"] = machine_text(values["MACHINE_FILE"], machine_fields(machine))
-    return texts | {"CMakeLists.txt": filled(template("CMakeLists.txt"), values)}
+    texts = {f"{prefix}{name}": rendered(name, values) for name in _NAMES}
+    texts[f"{prefix}read_machine.h"] = reader
+    texts[f"{prefix}machine.txt"] = machine_text(values["machine_file"], numbers)
+    return texts | {"CMakeLists.txt": rendered("CMakeLists.txt", values)}
 
 
 def write_c(
@@ -234,31 +227,6 @@ def machine_fields(machine: Manipulator) -> dict[str, FloatArray]:
 def state_functions(machine: Manipulator) -> list[StateFunction]:
     """Return the functions of the table that machines with these kinds of legs have."""
     return [x for x in STATE_FUNCTIONS if machine.legs.are_rps or not x.is_of_rps]
-
-
-def _legs_texts(machine: Manipulator, masses: Masses | None) -> dict[str, str]:
-    """Return what depends on the kinds of the legs in the texts of header and source."""
-    kinds = machine.legs.kinds
-    stages = [(stage, kind) for stage, kind in zip(("lower", "upper"), kinds, strict=True)]
-    shown = [f"of the {stage} legs, {kind.name}, {kind.meaning} [{kind.unit}]" for stage, kind in stages]
-    members = [
-        f"    double {stage}_{kind.name.lower()}[{kind.numbers.size}]; /* {', '.join(x.name for x in fields(kind))} of"
-        f" each {stage} leg in turn; the sign is the working mode, +1 or -1 */\n"
-        for stage, kind in stages
-        if kind.numbers.size
-    ]
-    bodies, declared = "", ""
-    if machine.legs.are_rps:
-        bodies = f"const double @PREFIX@bodies[32] = {{{_row(functions.bodies(machine, masses))}}};\n\n"
-        declared = _BODIES
-    return {
-        "LEGS": ", ".join(f"(g)->{name}" for name in fields_of(kinds)),
-        "FIELDS": ", ".join(f'{{"{name}", {count}}}' for name, count in fields_of(kinds).items()),
-        "MEMBERS": "".join(members),
-        "READINGS": f"{kinds[0].meaning} [m]" if machine.legs.are_rps else "; ".join(shown),
-        "BODIES": bodies,
-        "BODIES_DECLARED": declared,
-    }
 
 
 @lru_cache(maxsize=16)
@@ -338,7 +306,7 @@ def _formulas(machine: Manipulator) -> str:
         further = [ca.SX.sym(name, len(numbers)) for name, numbers in function.arguments.items()]
         (result,) = function.compute(state, *further).values()
         made_functions.append(made(f"{function.name}_of", [joints, *pose, *further], result))
-    return "\n".join(map(_c_text, made_functions))
+    return "\n".join(map(c_function, made_functions))
 
 
 def _stage_formulas() -> list[ca.Function]:
@@ -387,48 +355,7 @@ def _flat(matrix: Any) -> Any:
     return ca.vec(dense.T)
 
 
-def _c_text(function: ca.Function) -> str:
-    """Return a function in C, of arrays of arguments and of results."""
-    generator = ca.CodeGenerator("generated.c", {"with_header": False, "with_export": False, "casadi_int": "int"})
-    generator.add(function)
-    text = re.sub(r"\bcasadi_real\b", "double", generator.dump())
-    (body,) = re.findall(r"^static int casadi_f0\([^)]*\) {\n(.*?)^  return 0;\n}", text, re.MULTILINE | re.DOTALL)
-    # No argument is ever left out.
-    body = re.sub(r"(arg\[\d+\])\? (arg\[\d+\]\[\d+\]) : 0;", r"\2;", body)
-    body = re.sub(r"if \(res\[\d+\]!=0\) ", "", body).replace("casadi_inf", "INFINITY").replace("casadi_fabs", "fabs")
-    # Numbers that are conditions are compared with zero, as clang requires.
-    body = re.sub(r"\((a\d+)(?=\?)", r"(\1!=0.0", body)
-    body = re.sub(r"(a\d+)(&&|\|\|)(a\d+)", r"\1!=0.0\2\3!=0.0", body)
-    body = re.sub(r"!(a\d+)", r"\1==0.0", body)
-    unused = "" if "arg[" in body else "  (void)arg;\n"
-    head = f"static void {function.name()}(const double *const *arg, double *const *res)"
-    return f"{head}\n{{\n{body.rstrip()}\n{unused}}}\n"
-
-
-def _snippets(function: StateFunction) -> dict[str, str]:
-    """Return what a function of the table puts in place of the marks in texts about it."""
-    constants = [f"const double {name}[{len(x)}]" for name, x in function.arguments.items()]
-    head = ["const @PREFIX@geometry *geometry", "const @PREFIX@state *state", *constants]
-    checks = "".join(
-        f"    status = status != @PREFIX_UPPER@OK ? status : check_numbers({name}, {len(x)}, DBL_MAX);\n"
-        for name, x in function.arguments.items()
-    )
-    singular = f"is_singular(geometry, state, {int(function.singular == 'forward')})" if function.singular else "0"
-    return {
-        "NAME": function.name,
-        "COMMENT": function.meaning[0].upper() + function.meaning[1:],
-        "PARAMETERS": ", ".join([*head, f"double {function.result}[{function.count}]"]),
-        "CHECKS": checks,
-        "SINGULAR_CALL": singular,
-        "MOVES": str(int(function.singular == "inverse")),
-        "ARGUMENTS": "".join(f", {name}" for name in function.arguments),
-        "CALL": ", ".join(["machine", "&state", *(f"{function.name}_{x}" for x in function.arguments), "numbers"]),
-        "RESULT": function.result,
-        "COUNT": str(function.count),
-    }
-
-
-def _known_answers(machine: Manipulator, available: list[StateFunction]) -> dict[str, str]:
+def _known_answers(machine: Manipulator, available: list[StateFunction]) -> dict[str, Any]:
     """Return the tables of the test program."""
     rng, rise = np.random.default_rng(17), sum(machine.dimensions)
     # In the home assembly region; then poses anywhere, and one out of reach.
@@ -440,23 +367,17 @@ def _known_answers(machine: Manipulator, available: list[StateFunction]) -> dict
     branches = inverse_displacement(machine, pose).readings
     states = [inverse_physical(machine, pose[n]) for n in range(len(pose))]
 
-    def padded(count: int, compute: Callable[..., npt.ArrayLike], *arguments: FloatArray) -> str:
-        return _table([np.ravel(compute(s, *arguments)) if s.exists else np.zeros(count) for s in states])
+    def padded(count: int, compute: Callable[..., npt.ArrayLike], *arguments: FloatArray) -> list[FloatArray]:
+        return [np.ravel(compute(s, *arguments)) if s.exists else np.zeros(count) for s in states]
 
-    answers = []
-    for f in available:
-        answers += [f"static const double {f.name}_{x}[{len(n)}] = {{{_row(n)}}};" for x, n in f.arguments.items()]
-        known = padded(f.count, f.answer, *f.arguments.values())
-        answers.append(f"static const double {f.name}_answers[CASES][{f.count}] = {{\n{known}\n}};")
     return {
-        "CASES": str(len(pose)),
-        "HEIGHT": repr(rise),
-        "DRAWN": str(int(_is_drawn(machine))),
-        "ROTATIONS": _table(pose.rotation.as_matrix().reshape(-1, 9)),
-        "POSITIONS": _table(pose.translation),
-        "BRANCH_READINGS": _table(branches.reshape(len(pose), -1)),
-        "JOINTS": padded(9, lambda state: state.middle_joints),
-        "ANSWERS": "\n".join(answers),
+        "answers": [(f, padded(f.count, f.answer, *f.arguments.values())) for f in available],
+        "height": rise,
+        "is_drawn": _is_drawn(machine),
+        "rotations": pose.rotation.as_matrix().reshape(-1, 9),
+        "positions": pose.translation,
+        "branch_readings": branches.reshape(len(pose), -1),
+        "joints": padded(9, lambda state: state.middle_joints),
     }
 
 
@@ -480,8 +401,7 @@ def _is_drawn(machine: Manipulator) -> bool:
 
 
 def _row(numbers: npt.ArrayLike) -> str:
-    texts = (repr(float(x)) for x in np.ravel(numbers))
-    return ", ".join(text.replace("inf", "INFINITY").replace("nan", "NAN") for text in texts)
+    return ", ".join(map(number, np.ravel(numbers)))
 
 
 def _table(rows: Any) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from spm_pin.export.c_export import c_sources
-from spm_pin.export.c_texts import filled, marks, template, write_sources
+from spm_pin.export.c_texts import common_values, rendered, write_sources
 from spm_pin.export.ros_export import ASSUMED, ends_of_travel, start_readings, travel
 from spm_pin.export.stage_export import stage_c_sources, stage_machine_sources
 from spm_pin.kinematics import forward_physical, inverse_physical
@@ -18,7 +18,6 @@ from spm_pin.machine.machine import check_machine
 from spm_pin.support.arguments import FloatArray
 from spm_pin.workspace import home_height
 
-_FILES = {"kins.c": "@NAME@kins.c", "machine.ini": "@NAME@.ini", "machine.hal": "@NAME@.hal"}
 _UNITS = {"m": ("UNITS_PER_METRE", 1e3, "LINEAR"), "rad": ("1.0 / DEGREE", np.rad2deg(1.0), "ANGULAR")}
 """Units of a joint per unit of a reading, in C and as a number, and the joint's type."""
 _SAMPLES = 4096
@@ -59,26 +58,27 @@ def linuxcnc_configuration(machine: Manipulator | Stage) -> dict[str, str]:
     ]
     is_angle = np.isin([*known.axes], [*"ABC"])
     values = {
-        **marks(machine, f"{known.name}_"),
-        "NAME": known.name,
-        "JOINTS_MEANING": f"0 to {joints[-1]} are the readings of the legs {', '.join(machine.legs.names)}",
-        "AXES_MEANING": known.meaning,
-        "INCLUDES": known.includes,
-        "SOURCES": ", ".join(name for name in known.sources if name.endswith((".c", ".h"))),
-        "POSES": template(f"linuxcnc/{known.name}_poses.c"),
-        "JOINTS": str(len(joints)),
-        "UNITS": ", ".join(_UNITS[unit][0] for unit in machine.legs.units),
-        "TURNS": known.turns,
-        "COORDINATES": " ".join(known.axes),
-        "HOME": " ".join(_number(home.get(axis, 0.0)) for axis in "XYZABC"),
-        "LINEAR_VELOCITY": f"{rates[~is_angle, 0].max():.4g}",
-        "ANGULAR_VELOCITY": f"{rates[is_angle, 0].max():.4g}",
-        "AXIS_SECTIONS": "\n".join(sections),
-        "JOINT_SECTIONS": "\n".join(map(known.joint_section, joints)).rstrip("\n"),
-        "ACTUATORS": "".join(map(_actuator, joints)),
+        **common_values(machine, f"{known.name}_"),
+        "name": known.name,
+        "joints_meaning": f"0 to {joints[-1]} are the readings of the legs {', '.join(machine.legs.names)}",
+        "axes_meaning": known.meaning,
+        "includes": known.includes,
+        "sources": ", ".join(name for name in known.sources if name.endswith((".c", ".h"))),
+        "joints": len(joints),
+        "units": [_UNITS[unit][0] for unit in machine.legs.units],
+        "turns": known.turns,
+        "coordinates": known.axes,
+        "home": " ".join(_number(home.get(axis, 0.0)) for axis in "XYZABC"),
+        "linear_velocity": f"{rates[~is_angle, 0].max():.4g}",
+        "angular_velocity": f"{rates[is_angle, 0].max():.4g}",
+        "axis_sections": sections,
+        "joint_sections": [known.joint_section(joint) for joint in joints],
     }
-    files = {filled(name, values): filled(template(f"linuxcnc/{file}"), values) for file, name in _FILES.items()}
-    return files | known.sources | {"demo.ngc": known.program(), "tool.tbl": ""}
+    texts = {
+        f"{known.name}{end}": rendered(f"linuxcnc/{template}", values)
+        for end, template in (("kins.c", "kins.c"), (".ini", "machine.ini"), (".hal", "machine.hal"))
+    }
+    return texts | known.sources | {"demo.ngc": known.program(), "tool.tbl": ""}
 
 
 def write_linuxcnc(machine: Manipulator | Stage, directory: str | Path) -> list[Path]:
@@ -146,7 +146,7 @@ class _Machine(ABC):
         lines += [f"{end}_LIMIT = {_number(scale * x)}" for end, x in ends if np.isfinite(x)]
         lines += [f"MAX_VELOCITY = {scale * rate:.6g}", f"MAX_ACCELERATION = {scale * acceleration:.6g}"]
         lines += ["FERROR = 1.0", "MIN_FERROR = 0.1"]
-        lines += [f"HOME = {home}", f"HOME_OFFSET = {home}", "HOME_SEQUENCE = 0", ""]
+        lines += [f"HOME = {home}", f"HOME_OFFSET = {home}", "HOME_SEQUENCE = 0\n"]
         return "\n".join(lines)
 
     def can_follow(self, way: FloatArray) -> bool:
@@ -239,14 +239,3 @@ class _StageAlone(_Machine):
 def _number(x: float) -> str:
     """Return a number of millimetres or degrees with at most nine decimals."""
     return np.format_float_positional(round(float(x), 9) + 0.0, trim="0")
-
-
-def _actuator(joint: int) -> str:
-    """Return the lines of `machine.hal` about an actuator."""
-    return f"""
-addf limit3.{joint} servo-thread
-setp limit3.{joint}.maxv [JOINT_{joint}]MAX_VELOCITY
-setp limit3.{joint}.maxa [JOINT_{joint}]MAX_ACCELERATION
-net J{joint}:pos-cmd <= joint.{joint}.motor-pos-cmd => limit3.{joint}.in
-net J{joint}:pos-fb <= limit3.{joint}.out => joint.{joint}.motor-pos-fb
-"""

@@ -12,14 +12,13 @@ from spm_pin.description.masses import Masses
 from spm_pin.description.source_files import MESHES, description_directory
 from spm_pin.errors import ArgumentError
 from spm_pin.export.c_export import c_sources, machine_fields
-from spm_pin.export.c_texts import filled, marks, write_sources
+from spm_pin.export.c_texts import common_values, rendered, template_names, write_sources
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.machine import Configuration, Manipulator
 from spm_pin.machine.joint_angles import actuated_joints, home_readings, homes, joint_names
 from spm_pin.support.arguments import FloatArray
 from spm_pin.support.files import file_path
 
-_TEMPLATES = Path(__file__).parent / "templates" / "ros"
 ASSUMED = {"m": (0.1, 1.0), "rad": (1.0, 10.0)}
 """Default largest rate [1/s] and acceleration [1/s²] of readings in exported files; a machine has none."""
 _PATTERN = np.array([-1.0, 0.0, 1.0, -1.0, 0.0, 1.0])
@@ -62,28 +61,26 @@ def ros_package(
     readings, goal = start_readings(machine)
     position, quaternion = goal.translation, goal.pose.rotation.as_quat()
     values = {
-        **marks(machine, name),
-        "PACKAGE": package,
-        "BASE": f"{prefix}base",
-        "SLIDES": ", ".join(slides),
-        "JOINTS": repr(joints),
-        "ZEROS": ", ".join(map(repr, zeros)),
-        "RATES": ", ".join(repr(ASSUMED[unit][0]) for unit in machine.legs.units),
-        "ACCELERATIONS": ", ".join(repr(ASSUMED[unit][1]) for unit in machine.legs.units),
-        "STEPS": ", ".join(map(repr, (_STEP * _stroke(machine)).round(4).tolist())),
-        "MACHINE": "\n".join(
+        **common_values(machine, name),
+        "package": package,
+        "base": f"{prefix}base",
+        "slides": slides,
+        "joints": joints,
+        "zeros": zeros,
+        "rates": [ASSUMED[unit][0] for unit in machine.legs.units],
+        "accelerations": [ASSUMED[unit][1] for unit in machine.legs.units],
+        "steps": (_STEP * _stroke(machine)).round(4).tolist(),
+        "machine": "\n".join(
             f"      {name}: [{', '.join(map(repr, numbers.tolist())).replace('inf', '.inf')}]"
             for name, numbers in fields.items()
         ),
-        "MACHINE_FIELDS": repr({name: len(numbers) for name, numbers in fields.items()}),
-        "START": ", ".join(f"{reading - zero:.9g}" for reading, zero in zip(readings, zeros, strict=True)),
-        "POSITION": ", ".join(f"{name}: {x:.9g}" for name, x in zip("xyz", position, strict=True)),
-        "ORIENTATION": ", ".join(f"{name}: {x:.9g}" for name, x in zip("xyzw", quaternion, strict=True)),
+        "machine_fields": {name: len(numbers) for name, numbers in fields.items()},
+        "start": ", ".join(f"{reading - zero:.9g}" for reading, zero in zip(readings, zeros, strict=True)),
+        "position": ", ".join(f"{name}: {x:.9g}" for name, x in zip("xyz", position, strict=True)),
+        "orientation": ", ".join(f"{name}: {x:.9g}" for name, x in zip("xyzw", quaternion, strict=True)),
     }
     package_files = {
-        path.relative_to(_TEMPLATES).as_posix().removesuffix(".in"): filled(path.read_text(encoding="utf-8"), values)
-        for path in sorted(_TEMPLATES.rglob("*.*"))
-        if path.is_file()
+        path.removeprefix("ros/").removesuffix(".in"): rendered(path, values) for path in template_names("ros/")
     }
     hardware = _hardware(machine, package, slides, zeros, readings)
     package_files["urdf/spm.urdf"] = urdf.replace("</robot>", f"{hardware}</robot>")

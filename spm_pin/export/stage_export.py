@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-import re
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.export.c_texts import checked_prefix, filled, machine_text, marks, template, write_sources
+from spm_pin.export.c_texts import checked_prefix, common_values, machine_text, rendered, write_sources
 from spm_pin.formulas.leg_constants import LIMIT_ROUNDING
 from spm_pin.formulas.planar_legs import MOST_TURNED
 from spm_pin.kinematics import inverse_physical
@@ -48,16 +49,19 @@ def stage_c_sources(stage: Stage, *, prefix: str = "stage_") -> dict[str, str]:
     check_instance(stage, Stage, "stage")
     prefix = checked_prefix(prefix)
     numbers = stage_numbers(stage)
+    file = "stage" if prefix == "stage_" else f"{prefix}stage"
     values = {
-        **marks(stage, prefix),
-        "LIMIT_ROUNDING": repr(LIMIT_ROUNDING),
-        "MOST_TURNED": repr(MOST_TURNED),
-        "MACHINE": _machine(stage.kind.name, numbers),
+        **common_values(stage, prefix),
+        "file": file,
+        "guard": f"{file.upper()}_H",
+        "limit_rounding": LIMIT_ROUNDING,
+        "most_turned": MOST_TURNED,
+        "kind": stage.kind.name,
+        "numbers": numbers,
+        "reals": partial(_reals, prefix=prefix.upper()),
         **_known_answers(stage, numbers[1]),
     }
-    return {
-        _renamed(name, prefix): _renamed(filled(template(name), values), prefix) for name in ("stage.h", "stage_test.c")
-    }
+    return {f"{file}.h": rendered("stage.h", values), f"{file}_test.c": rendered("stage_test.c", values)}
 
 
 def write_stage_c(stage: Stage, directory: str | Path, *, prefix: str = "stage_") -> list[Path]:
@@ -66,15 +70,6 @@ def write_stage_c(stage: Stage, directory: str | Path, *, prefix: str = "stage_"
     Files of the same names are replaced.
     """
     return write_sources(directory, lambda: stage_c_sources(stage, prefix=prefix))
-
-
-def _renamed(text: str, prefix: str) -> str:
-    """Return a text with another prefix, which files and the guard have before theirs: `math.h` is not ours."""
-    if prefix == "stage_":
-        return text
-    text = re.sub(r"\bstage(?=(_test)?\.[ch]\b)", f"{prefix}stage", text)
-    text = re.sub(r"\bSTAGE_(H\b)?", lambda found: prefix.upper() + "STAGE_H" * bool(found[1]), text)
-    return re.sub(r"\bstage_", prefix, text)
 
 
 def stage_numbers(stage: Stage) -> FloatArray:
@@ -95,39 +90,29 @@ def stage_machine_sources(stage: Stage) -> dict[str, str]:
     fields = {"up": numbers[:1], "home_height": numbers[1:2]}
     fields |= dict(zip(("leg_1", "leg_2", "leg_3"), numbers[2:].reshape(3, -1), strict=True))
     values = {
-        **marks(stage, "stage_"),
-        "HEADER": "stage.h",
-        "FIELDS": ", ".join(f'{{"{name}", {len(x)}}}' for name, x in fields.items()),
-        "NUMBERS": "&geometry->up",
-        "IS_MACHINE": "stage_tilt(geometry, 0, 0, geometry->home_height, &state) == STAGE_OK\n"
+        **common_values(stage, "stage_"),
+        "header": "stage.h",
+        "fields": fields,
+        "numbers": "&geometry->up",
+        "is_machine": "stage_tilt(geometry, 0, 0, geometry->home_height, &state) == STAGE_OK\n"
         "            && stage_forward(geometry, state.readings, &state, &state) == STAGE_OK",
     }
-    reader = filled(template("read_machine.h"), values)
-    return {"stage_machine.txt": machine_text(values["MACHINE_FILE"], fields), "stage_read_machine.h": reader}
+    reader = rendered("read_machine.h", values)
+    return {"stage_machine.txt": machine_text(values["machine_file"], fields), "stage_read_machine.h": reader}
 
 
-def _machine(kind: str, numbers: FloatArray) -> str:
-    """Return a `stage_geometry` in C."""
-    rows = []
-    for leg in numbers[2:].reshape(3, -1):
-        pivot, outward, upward, ball = (f"{{{_numbers(x)}}}" for x in leg[:12].reshape(4, 3))
-        last = f"{ball}, {_numbers(leg[12:14])}, {{{_numbers(leg[14:16])}}}, {_numbers(leg[16:])}"
-        rows.append(f"        {{{pivot}, {outward}, {upward},\n            {last}}}")
-    return f"    STAGE_{kind}, {_numbers(numbers[:2])},\n    {{\n" + ",\n".join(rows) + "\n    }"
-
-
-def _numbers(numbers: npt.ArrayLike) -> str:
-    """Return numbers in C, of the type that the header has."""
+def _reals(numbers: npt.ArrayLike, prefix: str) -> str:
+    """Return numbers in C, of the type that the header has; its macros begin with the prefix."""
 
     def text(x: float) -> str:
         if math.isinf(x):
-            return "STAGE_NO_LIMIT" if x > 0.0 else "-STAGE_NO_LIMIT"
-        return str(int(x)) if x == int(x) else f"STAGE_R({x!r})"
+            return f"{prefix}NO_LIMIT" if x > 0.0 else f"-{prefix}NO_LIMIT"
+        return str(int(x)) if x == int(x) else f"{prefix}R({x!r})"
 
     return ", ".join(text(float(x)) for x in np.ravel(numbers))
 
 
-def _known_answers(stage: Stage, home: float) -> dict[str, str]:
+def _known_answers(stage: Stage, home: float) -> dict[str, Any]:
     """Return the tables of the test program: states about home, found by the package."""
     for count in _TRIED:
         states = _held_states(stage, home, count)
@@ -136,10 +121,9 @@ def _known_answers(stage: Stage, home: float) -> dict[str, str]:
     readings, size = states.readings, stage.base_radius + stage.platform_radius
     rows = np.concatenate([states.normal, states.translation[:, 2:], states.translation[:, :2], readings], axis=-1)
     return {
-        "CASES": str(len(rows)),
-        "ANSWERS": ",\n".join(f"    {{{_numbers(row)}}}" for row in rows),
-        "SIZE": repr(float(size)),
-        "READING_SIZE": repr(float(max(np.abs(readings).max(), 1.0 if stage.unit == "rad" else size))),
+        "answers": rows,
+        "size": float(size),
+        "reading_size": float(max(np.abs(readings).max(), 1.0 if stage.unit == "rad" else size)),
     }
 
 

@@ -1,13 +1,13 @@
-/* Closed-chain kinematics of a @TITLE@; see the header.
+/* Closed-chain kinematics of a {{title}}; see the header.
 
-   @ORIGIN@
+   {{origin}}
 
    First come formulas, written by the code generator of CasADi; from `read_pose` on what checks arguments, iterates and
    decides. Readings leave each ball on a circle, and the three balls of a stage are the corners of a triangle. In a
    given pose a ball lies in the plane of its leg: its two coordinates there are unknowns, and six equations in six of
    them, all quadratic, hold the machine. */
 
-#include "@PREFIX@kinematics.h"
+#include "{{prefix}}kinematics.h"
 
 #include <float.h>
 #include <math.h>
@@ -16,42 +16,44 @@
 #error "-ffast-math breaks the checks for NaN and infinity: compile without it"
 #endif
 
-static double casadi_sq(double x)
-{
-    return x * x;
-}
-
-static double casadi_fmax(double x, double y)
+static double larger(double x, double y)
 {
     return x > y ? x : y;
 }
 
-static double casadi_fmin(double x, double y)
+static double smaller(double x, double y)
 {
     return x < y ? x : y;
 }
 
-@FORMULAS@
+{{formulas}}
 #define ROUNDED 1e-6            /* largest error of R^T R, and of a state to begin from in units of d */
 #define FARTHEST 1e5            /* largest length in units of E + C + d */
-#define SINGULAR_RATIO @SINGULAR@
-#define CHORD @CHORD@ /* rad; a crank turns by no more while the end of it is taken for its chord's */
-#define MOST_TURNED @MOST_TURNED@ /* rad */
-#define LEGS(g) @LEGS@
+#define SINGULAR_RATIO {{singular}}
+#define CHORD {{chord}} /* rad; a crank turns by no more while the end of it is taken for its chord's */
+#define MOST_TURNED {{most_turned}} /* rad */
+#define LEGS(g) {% for name in fields %}(g)->{{name}}{{", " if not loop.last}}{% endfor %}
+
 
 /* Of each leg: what every reading without its offset is beyond, and whether it is an angle. */
-static const double least[6] = {@LEAST@}, turns[6] = {@TURNS@};
+static const double least[6] = { {{- numbers(legs.least_readings) -}} }, turns[6] = { {{- numbers(turns) -}} };
 
-const @PREFIX@geometry @PREFIX@machine = {
-@MACHINE@
+const {{prefix}}geometry {{prefix}}machine = {
+{{table(fields.values())}}
 };
 
-@BODIES@const char *const @PREFIX@branch_names[8] = {"TT+", "TT-", "TF+", "TF-", "FT+", "FT-", "FF+", "FF-"};
+{% if bodies is not none %}
+const double {{prefix}}bodies[32] = { {{- numbers(bodies) -}} };
 
-const char *@PREFIX@status_name(int status)
+{% endif %}
+const char *const {{prefix}}branch_names[8] = {"TT+", "TT-", "TF+", "TF-", "FT+", "FT-", "FF+", "FF-"};
+
+const char *{{prefix}}status_name(int status)
 {
     switch (status) {
-@STATUS_NAMES@
+{% for name in statuses %}
+    case {{PREFIX}}{{name}}: return "{{name|lower|replace("_", " ")}}";
+{% endfor %}
     default: return "unknown status";
     }
 }
@@ -84,18 +86,18 @@ static int are_within(const double *numbers, int count, double most)
     return 1;
 }
 
-static double farthest(const @PREFIX@geometry *g)
+static double farthest(const {{prefix}}geometry *g)
 {
     return FARTHEST * (g->dimensions[0] + g->dimensions[1] + g->dimensions[2]);
 }
 
 static int check_numbers(const double *numbers, int count, double most)
 {
-    return !are_within(numbers, count, DBL_MAX) ? @PREFIX_UPPER@NOT_FINITE
-            : !are_within(numbers, count, most) ? @PREFIX_UPPER@OUT_OF_RANGE : @PREFIX_UPPER@OK;
+    return !are_within(numbers, count, DBL_MAX) ? {{PREFIX}}NOT_FINITE
+            : !are_within(numbers, count, most) ? {{PREFIX}}OUT_OF_RANGE : {{PREFIX}}OK;
 }
 
-static int check_geometry(const @PREFIX@geometry *g)
+static int check_geometry(const {{prefix}}geometry *g)
 {
     double areas[2], is_valid;
     const double *const in[] = {LEGS(g)};
@@ -105,18 +107,18 @@ static int check_geometry(const @PREFIX@geometry *g)
         const double *axis = g->axes + 3 * i;
         if (!(g->minimum[i] >= least[i] && g->minimum[i] < g->maximum[i]) || !(fabs(axis[2]) <= 0.9)
                 || !(fabs(axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2] - 1.0) <= 2e-6)) {
-            return @PREFIX_UPPER@BAD_GEOMETRY;
+            return {{PREFIX}}BAD_GEOMETRY;
         }
     }
     if (!are_within(g->pivots, 18, 1e9) || !are_within(g->balls, 18, 1e9) || !are_within(g->offsets, 6, 1e9)) {
-        return @PREFIX_UPPER@BAD_GEOMETRY;
+        return {{PREFIX}}BAD_GEOMETRY;
     }
     numbers_of_machine(in, out);
-    return areas[0] > 1e-6 && areas[1] > 1e-6 && is_valid > 0.0 ? @PREFIX_UPPER@OK : @PREFIX_UPPER@BAD_GEOMETRY;
+    return areas[0] > 1e-6 && areas[1] > 1e-6 && is_valid > 0.0 ? {{PREFIX}}OK : {{PREFIX}}BAD_GEOMETRY;
 }
 
 /* Return whether the legs are nominal, to rounding. */
-static int is_drawn(const @PREFIX@geometry *g)
+static int is_drawn(const {{prefix}}geometry *g)
 {
     double error;
     const double *const in[] = {LEGS(g)};
@@ -125,12 +127,12 @@ static int is_drawn(const @PREFIX@geometry *g)
     return error <= 64.0 * DBL_EPSILON;
 }
 
-static int check_state(const @PREFIX@geometry *g, const @PREFIX@state *s)
+static int check_state(const {{prefix}}geometry *g, const {{prefix}}state *s)
 {
     int status = check_geometry(g);
-    status = status != @PREFIX_UPPER@OK ? status : check_numbers(s->rotation, 9, 2.0);
-    status = status != @PREFIX_UPPER@OK ? status : check_numbers(s->position, 3, farthest(g));
-    return status != @PREFIX_UPPER@OK ? status : check_numbers(s->joints, 9, farthest(g));
+    status = status != {{PREFIX}}OK ? status : check_numbers(s->rotation, 9, 2.0);
+    status = status != {{PREFIX}}OK ? status : check_numbers(s->position, 3, farthest(g));
+    return status != {{PREFIX}}OK ? status : check_numbers(s->joints, 9, farthest(g));
 }
 
 /* Write R^T R and return the largest entry of R^T R - I. */
@@ -150,13 +152,13 @@ static double products_of_columns(const double *r, double *products)
 }
 
 /* Check a pose, and take the nearest rotation where one is rounded, to second order and twice. */
-static int read_pose(const @PREFIX@geometry *g, const double *rotation, const double *position, double *r, double *o)
+static int read_pose(const {{prefix}}geometry *g, const double *rotation, const double *position, double *r, double *o)
 {
     double products[9], from[9], error;
     int turn, i, j, status = check_geometry(g);
-    status = status != @PREFIX_UPPER@OK ? status : check_numbers(rotation, 9, DBL_MAX);
-    status = status != @PREFIX_UPPER@OK ? status : check_numbers(position, 3, farthest(g));
-    if (status != @PREFIX_UPPER@OK) {
+    status = status != {{PREFIX}}OK ? status : check_numbers(rotation, 9, DBL_MAX);
+    status = status != {{PREFIX}}OK ? status : check_numbers(position, 3, farthest(g));
+    if (status != {{PREFIX}}OK) {
         return status;
     }
     copy(rotation, r, 9);
@@ -164,7 +166,7 @@ static int read_pose(const @PREFIX@geometry *g, const double *rotation, const do
     for (turn = 0; turn < 2; ++turn) {
         error = products_of_columns(r, products);
         if (!(error <= ROUNDED)) {
-            return @PREFIX_UPPER@NOT_A_ROTATION;
+            return {{PREFIX}}NOT_A_ROTATION;
         }
         if (error <= 16.0 * DBL_EPSILON) {
             break;
@@ -178,7 +180,7 @@ static int read_pose(const @PREFIX@geometry *g, const double *rotation, const do
         }
     }
     return r[0] * (r[4] * r[8] - r[5] * r[7]) - r[1] * (r[3] * r[8] - r[5] * r[6]) + r[2] * (r[3] * r[7] - r[4] * r[6])
-            > 0.0 ? @PREFIX_UPPER@OK : @PREFIX_UPPER@NOT_A_ROTATION;
+            > 0.0 ? {{PREFIX}}OK : {{PREFIX}}NOT_A_ROTATION;
 }
 
 /* Solve (6, 6) equations by Gauss and Jordan, the largest pivot of a column first. A row of `rows` is one of the matrix
@@ -259,7 +261,7 @@ static double image(const double *inverse, const double *errors, int are_sizes)
 
 /* Six equations for the lower balls in a machine whose platform moves, from t = 0 to t = 1. */
 typedef struct {
-    const @PREFIX@geometry *geometry;
+    const {{prefix}}geometry *geometry;
     double rotation[9], position[3], turn[3], shift[3]; /* of the platform; the turn as a vector */
     double end[9], angle;                               /* R at t = 1 */
 } way;
@@ -370,7 +372,7 @@ static int follow(const way *w, double *balls)
 {
     equations e;
     double inverse[36], t = 0.0, step = 1.0;
-    int left = @MOST_STEPS@;
+    int left = {{most_steps}};
     for (; t < 1.0; t = t + step >= 1.0 ? 1.0 : t + step, step *= 2.0) {
         evaluate(w, t, balls, &e);
         if (!invert(e.jacobian, inverse)) {
@@ -379,7 +381,7 @@ static int follow(const way *w, double *balls)
         step = step < 1.0 - t ? step : 1.0 - t;
         while (!(kantorovich(w, &e, inverse, balls, t, step) <= 0.25)) {
             step *= 0.5;
-            if (--left < 0 || step < @SHORTEST@) {
+            if (--left < 0 || step < {{shortest}}) {
                 return 0;
             }
         }
@@ -405,14 +407,14 @@ static int solve_stage(const circles *c, double *balls)
     double *const end[] = {balls};
     int step;
     directions_to(from, directions);
-    for (step = 0; step < @NEWTON_STEPS@ && !(converged > 0.0); ++step) {
+    for (step = 0; step < {{circles.MOST_STEPS}} && !(converged > 0.0); ++step) {
         newton_step(in, out);
         has_converged(sizes, flag);
         is_stalled(sizes, stalls);
         if (!(converged > 0.0) && stalled > 0.0) {
             is_closed(in, flag);
         }
-        if (!(size < (step < @SEARCH_STEPS@ ? DBL_MAX : @WANDERING@))) {
+        if (!(size < (step < {{circles.SEARCH_STEPS}} ? DBL_MAX : {{circles.WANDERING}}))) {
             return 0;
         }
         last = size;
@@ -450,7 +452,7 @@ static int follow_stage(const circles *start, const circles *end, double *balls)
             end->centres, end->radii, end->squares, &t, &next};
     double *const out[] = {&is_safe};
     int left, i;
-    for (left = @MOST_STEPS@; left > 0 && t < 1.0 && step >= @SHORTEST@; --left) {
+    for (left = {{most_steps}}; left > 0 && t < 1.0 && step >= {{shortest}}; --left) {
         next = t + step >= 1.0 ? 1.0 : t + step;
         for (i = 0; i < 9; ++i) {
             here.centres[i] = start->centres[i] + next * (end->centres[i] - start->centres[i]);
@@ -472,7 +474,7 @@ static int follow_stage(const circles *start, const circles *end, double *balls)
     return t >= 1.0;
 }
 
-static void put_state_nan(@PREFIX@state *state)
+static void put_state_nan({{prefix}}state *state)
 {
     put_nan(state->rotation, 9);
     put_nan(state->position, 3);
@@ -481,7 +483,7 @@ static void put_state_nan(@PREFIX@state *state)
 }
 
 /* Write the readings of a state; return 0 where it is not physical, 1 where it is, 2 where within the limits too. */
-static int complete(const @PREFIX@geometry *g, @PREFIX@state *s, double *tilts)
+static int complete(const {{prefix}}geometry *g, {{prefix}}state *s, double *tilts)
 {
     double rank;
     const double *const in[] = {s->joints, s->rotation, s->position, LEGS(g)};
@@ -491,31 +493,31 @@ static int complete(const @PREFIX@geometry *g, @PREFIX@state *s, double *tilts)
 }
 
 /* Return whether the legs of a state reach their balls, and with `moves` whether their actuators move them. */
-static int check_legs(const @PREFIX@geometry *g, const @PREFIX@state *s, int moves)
+static int check_legs(const {{prefix}}geometry *g, const {{prefix}}state *s, int moves)
 {
     double reach, slope;
     const double *const in[] = {s->joints, s->rotation, s->position, LEGS(g)};
     double *const out[] = {&reach, &slope};
     own_limits(in, out);
-    return !(reach >= 0.0) ? @PREFIX_UPPER@UNREACHABLE
-            : moves && !(slope > SINGULAR_RATIO) ? @PREFIX_UPPER@SINGULAR : @PREFIX_UPPER@OK;
+    return !(reach >= 0.0) ? {{PREFIX}}UNREACHABLE
+            : moves && !(slope > SINGULAR_RATIO) ? {{PREFIX}}SINGULAR : {{PREFIX}}OK;
 }
 
 /* Write where the lower balls of a state are in the planes of their legs, and the upper balls in {m}. */
-static int read_near(const @PREFIX@geometry *g, const @PREFIX@state *near, double *lower, double *upper)
+static int read_near(const {{prefix}}geometry *g, const {{prefix}}state *near, double *lower, double *upper)
 {
     double gap;
     const double *const in[] = {near->joints, near->rotation, near->position, LEGS(g)};
     double *const out[] = {lower, upper, &gap};
     int status = check_state(g, near);
-    if (status == @PREFIX_UPPER@OK) {
+    if (status == {{PREFIX}}OK) {
         own_places(in, out);
-        status = gap <= ROUNDED ? @PREFIX_UPPER@OK : @PREFIX_UPPER@BAD_NEAR;
+        status = gap <= ROUNDED ? {{PREFIX}}OK : {{PREFIX}}BAD_NEAR;
     }
     return status;
 }
 
-static void put_lower_balls(const @PREFIX@geometry *g, const double *balls, double *joints)
+static void put_lower_balls(const {{prefix}}geometry *g, const double *balls, double *joints)
 {
     const double *const in[] = {balls, LEGS(g)};
     double *const out[] = {joints};
@@ -597,7 +599,7 @@ static int follow_root(const homotopy *h, double *x)
 {
     double t = 0.0, step = 0.05, last_step = 1.0, tried[8], change[8] = {0.0};
     int left, turn, j;
-    for (left = @ROOT_STEPS@; left > 0 && t < 1.0; --left) {
+    for (left = {{root_steps}}; left > 0 && t < 1.0; --left) {
         double next = t + step >= 1.0 ? 1.0 : t + step, last = 0.4, size = 0.0;
         for (j = 0; j < 8; ++j) {
             tried[j] = x[j] + change[j] * (next - t) / last_step;
@@ -644,7 +646,7 @@ static double apart(const double *x, const double *y)
 
 /* Write where the lower balls are in all real branches of a pose, and how many. Three quadrics meet in eight points:
    where eight are found none is left out. Returns 0 where they cannot be told apart. */
-static int solve_all(const @PREFIX@geometry *g, const double *r, const double *o, double *starts, int *count)
+static int solve_all(const {{prefix}}geometry *g, const double *r, const double *o, double *starts, int *count)
 {
     static const double turns[6] = {0.7, 2.9, 4.6, 1.9, 5.5, 3.4};
     homotopy h;
@@ -679,7 +681,7 @@ static int solve_all(const @PREFIX@geometry *g, const double *r, const double *o
         double *const balls[] = {starts + 6 * *count};
         double imag = 0.0;
         for (j = 0; j < 4; ++j) {
-            imag = casadi_fmax(imag, fabs(roots[k][2 * j + 1]));
+            imag = larger(imag, fabs(roots[k][2 * j + 1]));
             roots[k][j] = roots[k][2 * j];
         }
         if (imag < 1e-6) {
@@ -691,9 +693,9 @@ static int solve_all(const @PREFIX@geometry *g, const double *r, const double *o
 }
 
 /* The physical branch by the rule: of all branches of a pose, each to rounding by Newton's method. */
-static int begin_inverse(const way *w, @PREFIX@state *state)
+static int begin_inverse(const way *w, {{prefix}}state *state)
 {
-    const @PREFIX@geometry *g = w->geometry;
+    const {{prefix}}geometry *g = w->geometry;
     double starts[48], is_degenerate = 0.0, best_tilts = 0.0;
     const double *const in[] = {w->end, w->position, LEGS(g)};
     double *const out[] = {starts, &is_degenerate};
@@ -702,13 +704,13 @@ static int begin_inverse(const way *w, @PREFIX@state *state)
     if (is_drawn(g)) {
         drawn_branches(in, out);
         if (is_degenerate > 0.0) {
-            return @PREFIX_UPPER@DEGENERATE;
+            return {{PREFIX}}DEGENERATE;
         }
     } else if (!solve_all(g, w->end, w->position, starts, &count)) {
-        return @PREFIX_UPPER@SINGULAR;
+        return {{PREFIX}}SINGULAR;
     }
     for (k = 0; k < count; ++k) {
-        @PREFIX@state tried;
+        {{prefix}}state tried;
         double tilts;
         int rank;
         if (!solve(w, 1.0, 0.3 * g->dimensions[2], starts + 6 * k)) {
@@ -724,11 +726,11 @@ static int begin_inverse(const way *w, @PREFIX@state *state)
             best_tilts = tilts;
         }
     }
-    return best > 0 ? @PREFIX_UPPER@OK : @PREFIX_UPPER@UNREACHABLE;
+    return best > 0 ? {{PREFIX}}OK : {{PREFIX}}UNREACHABLE;
 }
 
 /* Write the way from the pose of a state to the end, turning about a fixed axis. */
-static int set_out(way *w, const @PREFIX@state *near, const double *position)
+static int set_out(way *w, const {{prefix}}state *near, const double *position)
 {
     double m[9], sine, cosine;
     int i, j;
@@ -751,29 +753,29 @@ static int set_out(way *w, const @PREFIX@state *near, const double *position)
     return w->angle <= 3.0;
 }
 
-int @PREFIX@inverse(const @PREFIX@geometry *geometry, const double rotation[9], const double position[3],
-        const @PREFIX@state *near, @PREFIX@state *state)
+int {{prefix}}inverse(const {{prefix}}geometry *geometry, const double rotation[9], const double position[3],
+        const {{prefix}}state *near, {{prefix}}state *state)
 {
     way w = {0};
     double o[3], lower[6], upper[9], tilts;
     int status = read_pose(geometry, rotation, position, w.end, o);
     w.geometry = geometry;
     copy(o, w.position, 3);
-    if (status == @PREFIX_UPPER@OK && !near) {
+    if (status == {{PREFIX}}OK && !near) {
         return begin_inverse(&w, state);
     }
-    status = status != @PREFIX_UPPER@OK ? status : read_near(geometry, near, lower, upper);
-    if (status == @PREFIX_UPPER@OK) {
-        status = set_out(&w, near, o) && follow(&w, lower) ? @PREFIX_UPPER@OK : @PREFIX_UPPER@SINGULAR;
+    status = status != {{PREFIX}}OK ? status : read_near(geometry, near, lower, upper);
+    if (status == {{PREFIX}}OK) {
+        status = set_out(&w, near, o) && follow(&w, lower) ? {{PREFIX}}OK : {{PREFIX}}SINGULAR;
     }
-    if (status == @PREFIX_UPPER@OK) {
+    if (status == {{PREFIX}}OK) {
         copy(w.end, state->rotation, 9);
         copy(o, state->position, 3);
         put_lower_balls(geometry, lower, state->joints);
         (void)complete(geometry, state, &tilts);
         status = check_legs(geometry, state, 0);
     }
-    if (status != @PREFIX_UPPER@OK) {
+    if (status != {{PREFIX}}OK) {
         put_state_nan(state);
     }
     return status;
@@ -781,8 +783,8 @@ int @PREFIX@inverse(const @PREFIX@geometry *geometry, const double rotation[9], 
 
 /* Write the state of two stages with these readings, and return what `complete` does, or -1 where a leg is in another
    working mode. */
-static int join(const @PREFIX@geometry *g, const double *lower, const double *upper, const double *readings,
-        @PREFIX@state *state)
+static int join(const {{prefix}}geometry *g, const double *lower, const double *upper, const double *readings,
+        {{prefix}}state *state)
 {
     double tilts, slope;
     const double *const in[] = {lower, upper, LEGS(g)};
@@ -796,7 +798,7 @@ static int join(const @PREFIX@geometry *g, const double *lower, const double *up
     return slope > 0.0 ? rank : -1;
 }
 
-static void put_circles(const @PREFIX@geometry *g, const double *readings, circles *stages)
+static void put_circles(const {{prefix}}geometry *g, const double *readings, circles *stages)
 {
     double centres[18], radii[6], squares[6];
     const double *const in[] = {readings, LEGS(g)};
@@ -811,7 +813,7 @@ static void put_circles(const @PREFIX@geometry *g, const double *readings, circl
     }
 }
 
-int @PREFIX@beyond_limits(const @PREFIX@geometry *geometry, const double readings[6])
+int {{prefix}}beyond_limits(const {{prefix}}geometry *geometry, const double readings[6])
 {
     double hold[6];
     const double *const in[] = {readings, LEGS(geometry)};
@@ -826,8 +828,8 @@ int @PREFIX@beyond_limits(const @PREFIX@geometry *geometry, const double reading
     return 0;
 }
 
-int @PREFIX@forward(const @PREFIX@geometry *geometry, const double readings[6], const @PREFIX@state *near,
-        @PREFIX@state *state)
+int {{prefix}}forward(const {{prefix}}geometry *geometry, const double readings[6], const {{prefix}}state *near,
+        {{prefix}}state *state)
 {
     circles start, first[2], last[2];
     double coordinates[6], balls[2][9], tried[2][9], from[6], here[6], turn = 0.0;
@@ -835,15 +837,15 @@ int @PREFIX@forward(const @PREFIX@geometry *geometry, const double readings[6], 
     double *const out[] = {balls[0], balls[1]};
     int i, k, part, parts, converged = 1, status = check_geometry(geometry);
     copy(near ? near->readings : readings, from, 6);
-    status = status != @PREFIX_UPPER@OK ? status : check_numbers(readings, 6, DBL_MAX);
-    for (i = 0; i < 6 && status == @PREFIX_UPPER@OK; ++i) {
+    status = status != {{PREFIX}}OK ? status : check_numbers(readings, 6, DBL_MAX);
+    for (i = 0; i < 6 && status == {{PREFIX}}OK; ++i) {
         const double own = readings[i] - geometry->offsets[i];
         const double most = turns[i] > 0.0 ? MOST_TURNED : farthest(geometry);
-        status = own > least[i] && fabs(own) <= most ? @PREFIX_UPPER@OK : @PREFIX_UPPER@OUT_OF_RANGE;
-        turn = casadi_fmax(turns[i] * fabs(readings[i] - from[i]), turn);
+        status = own > least[i] && fabs(own) <= most ? {{PREFIX}}OK : {{PREFIX}}OUT_OF_RANGE;
+        turn = larger(turns[i] * fabs(readings[i] - from[i]), turn);
     }
-    status = status != @PREFIX_UPPER@OK || !near ? status : read_near(geometry, near, coordinates, balls[1]);
-    if (status != @PREFIX_UPPER@OK) {
+    status = status != {{PREFIX}}OK || !near ? status : read_near(geometry, near, coordinates, balls[1]);
+    if (status != {{PREFIX}}OK) {
         put_state_nan(state);
         return status;
     }
@@ -857,7 +859,7 @@ int @PREFIX@forward(const @PREFIX@geometry *geometry, const double readings[6], 
             converged = solve_stage(&first[k], tried[k]) && converged;
         }
         if (converged && join(geometry, tried[0], tried[1], readings, state) > 0) {
-            return @PREFIX_UPPER@OK;
+            return {{PREFIX}}OK;
         }
     }
     /* Circles change in proportion from those that the balls are on at the start, centres on the chords of their arcs;
@@ -875,42 +877,42 @@ int @PREFIX@forward(const @PREFIX@geometry *geometry, const double readings[6], 
         }
     }
     if (converged && join(geometry, balls[0], balls[1], readings, state) >= (near ? 0 : 1)) {
-        return @PREFIX_UPPER@OK;
+        return {{PREFIX}}OK;
     }
     put_state_nan(state);
-    return near ? @PREFIX_UPPER@SINGULAR : @PREFIX_UPPER@UNREACHABLE;
+    return near ? {{PREFIX}}SINGULAR : {{PREFIX}}UNREACHABLE;
 }
 
-int @PREFIX@all_branches(const @PREFIX@geometry *geometry, const double rotation[9], const double position[3],
-        @PREFIX@branches *branches)
+int {{prefix}}all_branches(const {{prefix}}geometry *geometry, const double rotation[9], const double position[3],
+        {{prefix}}branches *branches)
 {
     double r[9], o[3], real[8], is_degenerate = 0.0;
     const double *const in[] = {r, o, LEGS(geometry)};
     double *const out[] = {branches->joints[0], branches->readings[0], branches->discriminants, real, &is_degenerate};
     int k, count = 0, status = read_pose(geometry, rotation, position, r, o);
-    if (status == @PREFIX_UPPER@OK && !is_drawn(geometry)) {
-        status = @PREFIX_UPPER@BAD_GEOMETRY;
+    if (status == {{PREFIX}}OK && !is_drawn(geometry)) {
+        status = {{PREFIX}}BAD_GEOMETRY;
     }
-    if (status == @PREFIX_UPPER@OK) {
+    if (status == {{PREFIX}}OK) {
         all_drawn_branches(in, out);
     } else {
         put_nan(branches->discriminants, 4);
     }
     for (k = 0; k < 8; ++k) {
-        branches->real[k] = status == @PREFIX_UPPER@OK && real[k] > 0.0;
+        branches->real[k] = status == {{PREFIX}}OK && real[k] > 0.0;
         count += branches->real[k];
         if (!branches->real[k]) {
             put_nan(branches->joints[k], 9);
             put_nan(branches->readings[k], 6);
         }
     }
-    return status != @PREFIX_UPPER@OK ? status : is_degenerate > 0.0 ? @PREFIX_UPPER@DEGENERATE
-            : count > 0 ? @PREFIX_UPPER@OK : @PREFIX_UPPER@UNREACHABLE;
+    return status != {{PREFIX}}OK ? status : is_degenerate > 0.0 ? {{PREFIX}}DEGENERATE
+            : count > 0 ? {{PREFIX}}OK : {{PREFIX}}UNREACHABLE;
 }
 
 /* Return whether a state is singular to rounding: with `forward` three legs and three axes of a stage, and else the six
    axes, hold nothing against one motion. */
-static int is_singular(const @PREFIX@geometry *g, const @PREFIX@state *s, int forward)
+static int is_singular(const {{prefix}}geometry *g, const {{prefix}}state *s, int forward)
 {
     double rows[2][2][18], matrix[36], inverse[36];
     const double *const in[] = {s->joints, s->rotation, s->position, LEGS(g)};
@@ -934,4 +936,29 @@ static int is_singular(const @PREFIX@geometry *g, const @PREFIX@state *s, int fo
     }
     return 0;
 }
-@STATE_FUNCTIONS@
+{% for f in functions %}
+
+int {{prefix}}{{f.name}}({{f.parameters(prefix)}})
+{
+    int status = check_state(geometry, state);
+{% for name, x in f.arguments.items() %}
+    status = status != {{PREFIX}}OK ? status : check_numbers({{name}}, {{x.size}}, DBL_MAX);
+{% endfor %}
+    status = status != {{PREFIX}}OK ? status : check_legs(geometry, state, {{(f.singular == "inverse")|int}});
+{% if f.singular %}
+    if (status == {{PREFIX}}OK && is_singular(geometry, state, {{(f.singular == "forward")|int}})) {
+        status = {{PREFIX}}SINGULAR;
+    }
+{% endif %}
+    if (status == {{PREFIX}}OK) {
+        const double *const in[] = {state->joints, state->rotation, state->position{% for name in f.arguments %}, {{name}}{% endfor %}, LEGS(geometry)};
+        double *const out[] = { {{- f.result -}} };
+        {{f.name}}_of(in, out);
+        status = are_within({{f.result}}, {{f.count}}, DBL_MAX) ? status : {{PREFIX}}OUT_OF_RANGE;
+    }
+    if (status != {{PREFIX}}OK) {
+        put_nan({{f.result}}, {{f.count}});
+    }
+    return status;
+}
+{% endfor %}

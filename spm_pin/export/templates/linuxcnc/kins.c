@@ -1,23 +1,23 @@
-/* Kinematics module of a @TITLE@ for LinuxCNC 2.9.
+/* Kinematics module of a {{title}} for LinuxCNC 2.9.
 
-   @ORIGIN@
+   {{origin}}
 
    SPDX-License-Identifier: BSD-2-Clause
    The module that halcompile makes of it with LinuxCNC's headers is under LinuxCNC's licence, GPL-2.0-or-later.
 
-   Joints @JOINTS_MEANING@.
-   @AXES_MEANING@
+   Joints {{joints_meaning}}.
+   {{axes_meaning}}
    Lengths are in millimetres, angles in degrees.
 
-   Install: sudo halcompile --install @NAME@kins.c, with @SOURCES@ beside it.
-   Load: loadrt @NAME@kins machine=FILE. The file is the @NAME@_machine.txt of an export; after a calibration another file
+   Install: sudo halcompile --install {{name}}kins.c, with {{sources}} beside it.
+   Load: loadrt {{name}}kins machine=FILE. The file is the {{name}}_machine.txt of an export; after a calibration another file
    takes its place, and nothing is compiled again. Without `machine` the module is that of this export. Limits are LinuxCNC's.
 
    The forward displacement goes on from the last state, and begins in the aspect of the machine's home: LinuxCNC's estimate
    in `world` is not needed. Where it has no solution the state is lost, and the inverse displacement is refused
    until the forward one, begun anew, finds one: without this LinuxCNC would command the joints of an old pose. */
 
-@INCLUDES@
+{{includes}}
 
 #include <hal.h>
 #include <kinematics.h>
@@ -28,24 +28,25 @@
 
 #define UNITS_PER_METRE 1000.0
 #define DEGREE (3.14159265358979323846 / 180.0)
-#define JOINTS @JOINTS@
+#define JOINTS {{joints}}
 
-static const double units[JOINTS] = {@UNITS@}; /* of a joint in one of its reading */
-static @PREFIX@geometry geometry;
-static @PREFIX@state last;
+static const double units[JOINTS] = { {{- units|join(", ") -}} }; /* of a joint in one of its reading */
+static {{prefix}}geometry geometry;
+static {{prefix}}state last;
 static int is_known;
 
 static char *machine = "";
-RTAPI_MP_STRING(machine, "file with the numbers of the machine, @NAME@_machine.txt of an export");
+RTAPI_MP_STRING(machine, "file with the numbers of the machine, {{name}}_machine.txt of an export");
 
-@POSES@
+{% include "linuxcnc/" ~ name ~ "_poses.c" %}
+
 /* Say why a function fails, where LinuxCNC only says that it does; returns what LinuxCNC expects. */
 static int result_of(int status, int is_said, const char *function)
 {
-    if (status != @PREFIX_UPPER@OK && is_said) {
-        rtapi_print_msg(RTAPI_MSG_ERR, "@NAME@kins: %s: %s\n", function, @PREFIX@status_name(status));
+    if (status != {{PREFIX}}OK && is_said) {
+        rtapi_print_msg(RTAPI_MSG_ERR, "{{name}}kins: %s: %s\n", function, {{prefix}}status_name(status));
     }
-    return status == @PREFIX_UPPER@OK ? 0 : -1;
+    return status == {{PREFIX}}OK ? 0 : -1;
 }
 
 int kinematicsForward(const double *joint, EmcPose *world, const KINEMATICS_FORWARD_FLAGS *fflags,
@@ -59,8 +60,8 @@ int kinematicsForward(const double *joint, EmcPose *world, const KINEMATICS_FORW
     for (i = 0; i < JOINTS; ++i) {
         readings[i] = joint[i] / units[i];
     }
-    status = is_known ? @PREFIX@forward(&geometry, readings, &last, &last) : begin(readings);
-    is_known = status == @PREFIX_UPPER@OK;
+    status = is_known ? {{prefix}}forward(&geometry, readings, &last, &last) : begin(readings);
+    is_known = status == {{PREFIX}}OK;
     if (is_known) {
         put_world(world);
     }
@@ -70,16 +71,16 @@ int kinematicsForward(const double *joint, EmcPose *world, const KINEMATICS_FORW
 int kinematicsInverse(const EmcPose *world, double *joint, const KINEMATICS_INVERSE_FLAGS *iflags,
         KINEMATICS_FORWARD_FLAGS *fflags)
 {
-    @PREFIX@state found;
+    {{prefix}}state found;
     int i, status;
     (void)iflags;
     (void)fflags;
     if (!is_known) {
-        rtapi_print_msg(RTAPI_MSG_ERR, "@NAME@kins: kinematicsInverse: the joints are in no pose: is HOME_OFFSET where they stand?\n");
+        rtapi_print_msg(RTAPI_MSG_ERR, "{{name}}kins: kinematicsInverse: the joints are in no pose: is HOME_OFFSET where they stand?\n");
         return -1;
     }
     status = solve_pose(world, &found);
-    for (i = 0; i < JOINTS && status == @PREFIX_UPPER@OK; ++i) {
+    for (i = 0; i < JOINTS && status == {{PREFIX}}OK; ++i) {
         joint[i] = found.readings[i] * units[i];
     }
     return result_of(status, 1, "kinematicsInverse");
@@ -102,16 +103,16 @@ int rtapi_app_main(void)
 {
     const char *error = NULL;
     char folder[256];
-    geometry = @PREFIX@machine;
+    geometry = {{prefix}}machine;
     if (machine[0]) {
-        error = @PREFIX@read_machine(machine, &geometry);
+        error = {{prefix}}read_machine(machine, &geometry);
     }
     if (error) {
-        rtapi_print_msg(RTAPI_MSG_ERR, "@NAME@kins: machine=%s, seen from %s: %s\n", machine,
+        rtapi_print_msg(RTAPI_MSG_ERR, "{{name}}kins: machine=%s, seen from %s: %s\n", machine,
             getcwd(folder, sizeof folder) ? folder : "a directory that cannot be read", error);
         return -1;
     }
-    component = hal_init("@NAME@kins");
+    component = hal_init("{{name}}kins");
     if (component < 0) {
         return component;
     }

@@ -1,4 +1,4 @@
-// A ros2_control controller for a @TITLE@: stamped poses of the platform become commands of six joints,
+// A ros2_control controller for a {{title}}: stamped poses of the platform become commands of six joints,
 // within limits of rate and acceleration. Poses are solved where they arrive. What runs in the control loop, `update`,
 // `on_activate` and `on_deactivate`, waits for nothing.
 //
@@ -26,7 +26,7 @@
 #include "realtime_tools/realtime_publisher.hpp"
 #include "spm_set_points.hpp"
 
-namespace @PACKAGE@
+namespace {{package}}
 {
 
 // From Jazzy on an interface is read by `get_optional`, before by `get_value`.
@@ -55,7 +55,7 @@ public:
   controller_interface::CallbackReturn on_init() override
   {
     try {
-      auto_declare<std::string>("frame_id", "@BASE@");
+      auto_declare<std::string>("frame_id", "{{base}}");
       auto_declare<std::vector<std::string>>("joints", {});
       auto_declare<double>("timeout", 0.0);
       for (const char * name : {"zeros", "max_step", "max_velocity", "max_acceleration"}) {
@@ -114,11 +114,11 @@ public:
     activation_ = 0;
     Readings readings{};
     for (std::size_t i = 0; i < 6; ++i) {start_[i] = readings[i] = measured(i) + zeros_[i];}
-    @PREFIX@state state{};
-    const int status = @PREFIX@forward(&set_points_.machine, readings.data(), nullptr, &state);
-    if (status != @PREFIX_UPPER@OK) {
+    {{prefix}}state state{};
+    const int status = {{prefix}}forward(&set_points_.machine, readings.data(), nullptr, &state);
+    if (status != {{PREFIX}}OK) {
       RCLCPP_ERROR(
-        get_node()->get_logger(), "no state with the measured joints: %s", @PREFIX@status_name(status));
+        get_node()->get_logger(), "no state with the measured joints: %s", {{prefix}}status_name(status));
       return controller_interface::CallbackReturn::FAILURE;
     }
     const std::uint64_t serial = ++activations_ << 32;
@@ -242,6 +242,6 @@ private:
   }
 };
 
-}  // namespace @PACKAGE@
+}  // namespace {{package}}
 
-PLUGINLIB_EXPORT_CLASS(@PACKAGE@::SpmController, controller_interface::ControllerInterface)
+PLUGINLIB_EXPORT_CLASS({{package}}::SpmController, controller_interface::ControllerInterface)

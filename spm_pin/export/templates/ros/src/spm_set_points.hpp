@@ -14,9 +14,9 @@
 #include <string>
 #include <vector>
 
-#include "@PREFIX@kinematics.h"
+#include "{{prefix}}kinematics.h"
 
-namespace @PACKAGE@
+namespace {{package}}
 {
 
 using Readings = std::array<double, 6>;  // what the encoders show: metres, of cranks radians
@@ -24,9 +24,9 @@ constexpr double UNITS = 1099511627776.0;  // to a metre or a radian: readings a
 
 // Read the members of a machine by their names with `read(name, numbers, count)`; returns whether it could read all.
 template<typename Read>
-bool read_machine(@PREFIX@geometry & machine, const Read & read)
+bool read_machine({{prefix}}geometry & machine, const Read & read)
 {
-  constexpr struct {const char * name; std::size_t count;} FIELDS[] = {@PREFIX_UPPER@FIELDS};
+  constexpr struct {const char * name; std::size_t count;} FIELDS[] = { {{- PREFIX -}} FIELDS};
   double * numbers = reinterpret_cast<double *>(&machine);  // its members are numbers alone
   bool is_whole = true;
   for (const auto & field : FIELDS) {
@@ -73,13 +73,13 @@ public:
   Readings largest_step{};  // of each reading, from the last set-point taken
   double timeout = 0.0;     // the largest age of a set-point that arrives [s]
   double period = 0.0;      // of the control loop [s]
-  @PREFIX@geometry machine{};
+  {{prefix}}geometry machine{};
 
   // Begin where the machine is; returns the status of its state.
   int begin(const Readings & readings)
   {
     last_stamp_ = -std::numeric_limits<double>::infinity();
-    status_ = @PREFIX@forward(&machine, readings.data(), nullptr, &state_);
+    status_ = {{prefix}}forward(&machine, readings.data(), nullptr, &state_);
     return status_;
   }
 
@@ -87,7 +87,7 @@ public:
   // `current` is the number of the target to which the Limiter moves.
   std::string take(const SetPoint & wanted, double now, std::uint64_t current, Path & path)
   {
-    if (status_ != @PREFIX_UPPER@OK) {return "not active";}
+    if (status_ != {{PREFIX}}OK) {return "not active";}
     if (path.serial - current >= Path::SIZE) {return "too fast: " + std::to_string(Path::SIZE) + " set-points are not reached yet";}
     if (wanted.frame != frame) {return "wrong frame: \"" + wanted.frame + "\" instead of \"" + frame + "\"";}
     const double stamp = wanted.stamp == 0.0 ? now : wanted.stamp;
@@ -103,10 +103,10 @@ public:
       s * (x * y + z * w), 1.0 - s * (x * x + z * z), s * (y * z - x * w),
       s * (x * z - y * w), s * (y * z + x * w), 1.0 - s * (x * x + y * y)};
     // On the branch that the machine is in: a pose may be held in two, and a jump from one to the other breaks it.
-    @PREFIX@state next{}, reached{};
-    const int status = @PREFIX@inverse(&machine, rotation.data(), wanted.position.data(), &state_, &next);
-    if (status != @PREFIX_UPPER@OK) {return @PREFIX@status_name(status);}
-    const int beyond = @PREFIX@beyond_limits(&machine, next.readings);
+    {{prefix}}state next{}, reached{};
+    const int status = {{prefix}}inverse(&machine, rotation.data(), wanted.position.data(), &state_, &next);
+    if (status != {{PREFIX}}OK) {return {{prefix}}status_name(status);}
+    const int beyond = {{prefix}}beyond_limits(&machine, next.readings);
     if (beyond != 0) {return "beyond limits: " + joints[beyond - 1];}
     for (std::size_t i = 0; i < 6; ++i) {
       // As the Limiter counts: a leg at its end stop may be beyond it by rounding.
@@ -116,7 +116,7 @@ public:
       if (!(step <= largest_step[i])) {return "jump: " + joints[i] + " by " + std::to_string(step);}
     }
     // The legs go another way than the platform would; it must end in the same state.
-    if (@PREFIX@forward(&machine, next.readings, &state_, &reached) != @PREFIX_UPPER@OK || !is_near(reached, next)) {
+    if ({{prefix}}forward(&machine, next.readings, &state_, &reached) != {{PREFIX}}OK || !is_near(reached, next)) {
       return "singular: on the straight way of the legs";
     }
     state_ = next;
@@ -128,11 +128,11 @@ public:
   }
 
 private:
-  @PREFIX@state state_{};  // of the last set-point taken
-  int status_ = @PREFIX_UPPER@BAD_NEAR;
+  {{prefix}}state state_{};  // of the last set-point taken
+  int status_ = {{PREFIX}}BAD_NEAR;
   double last_stamp_ = 0.0;
 
-  bool is_near(const @PREFIX@state & a, const @PREFIX@state & b) const
+  bool is_near(const {{prefix}}state & a, const {{prefix}}state & b) const
   {
     double error = 0.0;
     for (std::size_t i = 0; i < 9; ++i) {error = std::max(error, std::fabs(a.joints[i] - b.joints[i]));}
@@ -215,4 +215,4 @@ private:
   std::uint64_t serial_ = 0;
 };
 
-}  // namespace @PACKAGE@
+}  // namespace {{package}}
