@@ -10,7 +10,7 @@ from cli.running import run
 
 PLACE = "--translation 68.89 49.63 225.3"
 POSE = f"{PLACE} --xyx -11.08 32.97 -12.88"
-LIMITS = "--min 110 --max 150 --unit cm"
+LIMITS = "--limits 110 150 --unit cm"
 START, GOAL = "120 120 140 125 120 150", "140 120 120 120 150 125"
 ENDS = f"--from {START} --to {GOAL} --unit cm"
 EQUAL_LEGS = "--legs 1.3 1.3 1.3 1.3 1.3 1.3"
@@ -33,7 +33,7 @@ REFUSED = [
     ("nothing", "No such command"),
     # calibrate, certify, crosscheck
     ("calibrate nope.csv", "error: CSV: nope.csv: expected a readable CSV file"),
-    ("certify --min 1.1", "--min and --max"),
+    ("certify --limits 1.1", "requires 2 arguments"),
     ("certify --length-error -1", "--length-error"),
     ("certify --angle-error 1", "--angle-error"),
     (f"certify {LIMITS} --inverse --angle-error 1e-4", "--inverse"),
