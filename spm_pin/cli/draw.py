@@ -13,7 +13,7 @@ import numpy as np
 from typer import Option
 
 from spm_pin.cli import outputs, requests
-from spm_pin.cli.options import Branches, Readings
+from spm_pin.cli.options import OF_MANIPULATOR, Branches, Readings
 from spm_pin.cli.requests import Request, request_of
 from spm_pin.cli.units import LengthUnit, MachineInUnits
 from spm_pin.display.plots import NARROWEST, save_gallery, save_picture, stage_figure
@@ -28,16 +28,18 @@ def draw(
     pose: Request | None = None,
     legs: Readings = None,
     branch: Branches = None,
-    every: Annotated[bool, Option("--all", help="All real branches, side by side.")] = False,
+    every: Annotated[bool, Option("--all", help="All real branches, side by side."), OF_MANIPULATOR] = False,
     view: Annotated[
-        tuple[float, float], Option(metavar="AZIMUTH ELEVATION", help="Direction of the view, in degrees.")
+        tuple[float, float],
+        Option(metavar="AZIMUTH ELEVATION", help="Direction of the view, in degrees."),
+        OF_MANIPULATOR,
     ] = (15.0, 25.0),
-    width: Annotated[int | None, Option(help="Width of the picture in pixels.")] = None,
+    width: Annotated[int | None, Option(help="Width of the picture in pixels."), OF_MANIPULATOR] = None,
     names: Annotated[
         bool | None,
         Option("--names/--no-names", help="Names of joints, legs and axes; default: for a single branch."),
     ] = None,
-    background: Annotated[str | None, Option(help="A colour, or none; default: white.")] = None,
+    background: Annotated[str | None, Option(help="A colour, or none; default: white."), OF_MANIPULATOR] = None,
 ) -> None:
     """Draw the machine: the physical branch of a pose, named branches, or all of them.
 
@@ -116,14 +118,18 @@ def view(
     typed: MachineInUnits,
     pose: Request | None = None,
     legs: Readings = None,
-    branch: Annotated[str | None, Option(metavar="LABEL", help="Branch to begin with, such as TT+.")] = None,
+    branch: Annotated[
+        str | None, Option(metavar="LABEL", help="Branch to begin with, such as TT+."), OF_MANIPULATOR
+    ] = None,
     path: Annotated[
-        Path | None, Option(metavar="FILE", help="A recorded path of a manipulator to play, a CSV file.")
+        Path | None, Option(metavar="FILE", help="A recorded path to play, a CSV file."), OF_MANIPULATOR
     ] = None,
     host: Annotated[str, Option(help="Address to listen at; only this machine reaches the default.")] = "127.0.0.1",
     port: Annotated[int, Option(help="First port to try; 0 lets the system choose.")] = 8080,
     demo: Annotated[
-        bool | None, Option("--demo/--no-demo", help="Move until touched; default: if no pose is given.")
+        bool | None,
+        Option("--demo/--no-demo", help="Move until touched; default: if no pose is given."),
+        OF_MANIPULATOR,
     ] = None,
     dark: Annotated[bool, Option("--dark", help="Begin with a dark page.")] = False,
     browser: Annotated[bool, Option("--open/--no-open", help="Open the page in a browser.")] = True,

@@ -20,13 +20,16 @@ import typer
 from typer.models import ArgumentInfo
 
 from spm_pin.cli.outputs import Report, note
-from spm_pin.cli.requests import OptionTable, PoseRequest, Record, Request, TiltRequest
+from spm_pin.cli.requests import OptionTable, Record, Request, TiltRequest
 from spm_pin.cli.units import LengthUnit, MachineInUnits
 from spm_pin.description.masses import Masses
 from spm_pin.errors import ArgumentError, GeometryError
 from spm_pin.machine import LEGS, PRS, RPS, RRS, STAGE_LEGS, LegKind, Manipulator, Stage
 from spm_pin.machine.manipulator import machine_from_yaml
 from spm_pin.support.arguments import FloatArray
+
+OF_MANIPULATOR = "of a manipulator"
+"""Annotation of a parameter that commands for a stage do not have."""
 
 
 class Legs(np.ndarray[Any, np.dtype[np.float64]]):
@@ -111,16 +114,19 @@ def make_command(function: Callable[..., Report | None], *, of_stage: bool) -> C
     Errors name the options that were typed instead of the arguments of functions.
     """
     groups: dict[str, tuple[Callable[..., Any], list[inspect.Parameter]]] = {}
-    parameters, names = [], {}
+    parameters: list[inspect.Parameter] = []
+    request: type[Request] | None = None
     for parameter in inspect.signature(function, eval_str=True).parameters.values():
         kind, *extra = get_args(parameter.annotation) if _is_annotated(parameter.annotation) else [parameter.annotation]
+        if of_stage and OF_MANIPULATOR in extra:
+            continue
         kinds, own = {kind, *get_args(kind)}, [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)]
         if MachineInUnits in kinds:
             own = _machine_parameters(of_stage, inspect.signature(function).parameters)
             groups[parameter.name] = _read_machine, own
         elif Request in kinds:
             prefix = extra[0] if extra else ""
-            request: type[Request] = TiltRequest if of_stage else PoseRequest
+            request = TiltRequest if of_stage else Request
             own = _request_parameters(request, prefix, is_optional=type(None) in kinds)
             groups[parameter.name] = _request_reader(request, prefix, is_optional=type(None) in kinds), own
         elif Legs in kinds:
@@ -141,6 +147,8 @@ def make_command(function: Callable[..., Report | None], *, of_stage: bool) -> C
                 given = {parameter.name: arguments.pop(parameter.name) for parameter in own}
                 arguments[name] = read(given, typed, of_stage) if typed is None else read(given, typed)
                 typed = typed or arguments[name]
+                if request is not None:
+                    _check_kind(typed, request)
             report = function(**arguments)
         except ArgumentError as error:
             raise _by_option(error, names, values) from error
@@ -201,17 +209,16 @@ def _request_reader(request: type[Request], prefix: str, *, is_optional: bool) -
         if is_optional and all(value is None for value in given.values()):
             return None
         values = {name.removeprefix(prefix.replace("-", "_")): value for name, value in given.items()}
-        return request.read(values, _of_kind(typed, request), prefix)
+        return request.read(values, typed, prefix)
 
     return read
 
 
-def _of_kind(typed: MachineInUnits, request: type[Request]) -> MachineInUnits:
-    """Return the machine, if it is of the kind that has this request, or raise an error."""
+def _check_kind(typed: MachineInUnits, request: type[Request]) -> None:
+    """Raise an error if a machine has requests of another kind."""
     if (request is TiltRequest) != isinstance(typed.machine, Stage):
         option = f"--machine {typed.file}" if typed.file else "--middle"
         raise ArgumentError(option, "a manipulator", "a stage", "For a stage: spm-pin stage")
-    return typed
 
 
 def _legs_parameter(
@@ -228,7 +235,7 @@ def _legs_reader(option: str) -> Callable[..., FloatArray | None]:
         (numbers,) = given.values()
         if numbers is None:
             return None
-        _of_kind(typed, TiltRequest if len(numbers) == 3 else PoseRequest)
+        _check_kind(typed, TiltRequest if len(numbers) == 3 else Request)
         return typed.read(option, numbers)
 
     return read

@@ -6,7 +6,6 @@ What else differs between the two kinds of machine on the command line is here t
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -39,79 +38,14 @@ _WAYS: tuple[set[str], ...] = {"tilt", "azimuth"}, {"roll", "pitch"}, {"normal"}
 
 
 @dataclass(frozen=True)
-class Request(ABC):
-    """A place of the platform, as it was typed."""
+class Request:
+    """A place of the platform, as it was typed: the pose of a manipulator."""
 
     typed: MachineInUnits
     arguments: Record
     """Arguments of `inverse_displacement`."""
     prefix: str = ""
     """What the names of the options begin with."""
-
-    options: ClassVar[OptionTable]
-    needed: ClassVar[str]
-    """Option without which there is no request."""
-    named: ClassVar[str]
-    """Options that errors name."""
-    reached: ClassVar[str]
-    """What is expected of a request."""
-    solution: ClassVar[str]
-    """Name of a solution of the inverse displacement."""
-
-    @classmethod
-    @abstractmethod
-    def read(cls, options: Record, typed: MachineInUnits, prefix: str = "") -> Self:
-        """Return the request of the values of options, of which some were given."""
-
-    @classmethod
-    @abstractmethod
-    def content(cls, state: Any, typed: MachineInUnits) -> Record:
-        """Return numbers that describe a state, in the typed units."""
-
-    @classmethod
-    @abstractmethod
-    def of_state(cls, state: Any, typed: MachineInUnits) -> Self:
-        """Return the request of the place of a state."""
-
-    @staticmethod
-    @abstractmethod
-    def start(machine: Any) -> Any:
-        """Return a state to begin with."""
-
-    @abstractmethod
-    def hint(self) -> str:
-        """Return a hint on the unit if the request is out of proportion to the machine; otherwise empty."""
-
-    @abstractmethod
-    def remarks(self, solutions: Any) -> list[str]:
-        """Return sentences on why there are no isolated solutions, or how unusual the request is."""
-
-    @abstractmethod
-    def nearest(self) -> tuple[Any, str, float] | None:
-        """Return the nearest reachable state, the options to enter it, and its distance in the typed unit."""
-
-    @contextmanager
-    def _named(self) -> Iterator[None]:
-        try:
-            yield
-        except ArgumentError as error:
-            if f"{error.argument}" not in self.options:
-                raise
-            raise error.replaced(argument=f"--{self.prefix}{error.argument}") from error
-
-    def solve(self) -> Any:
-        """Return the solutions of the inverse displacement."""
-        with self._named():
-            return inverse_displacement(self.typed.machine, **self.arguments)
-
-    def physical(self) -> Any:
-        """Return the physical state."""
-        with self._named():
-            return inverse_physical(self.typed.machine, **self.arguments)
-
-
-class PoseRequest(Request):
-    """A pose of a manipulator."""
 
     options: ClassVar[OptionTable] = {
         "translation": (Triple, "X Y Z", "Position of o in {B}, in --unit."),
@@ -125,7 +59,14 @@ class PoseRequest(Request):
             "In place of --xyx: rotation matrix from {m} to {B}, row by row.",
         ),
     }
-    needed, named, reached, solution = "translation", "--translation", "a pose with a real branch", "branch"
+    needed: ClassVar[str] = "translation"
+    """Option without which there is no request."""
+    named: ClassVar[str] = "--translation"
+    """Options that errors name."""
+    reached: ClassVar[str] = "a pose with a real branch"
+    """What is expected of a request."""
+    solution: ClassVar[str] = "branch"
+    """Name of a solution of the inverse displacement."""
 
     @classmethod
     def of_state(cls, state: Any, typed: MachineInUnits) -> Self:
@@ -180,6 +121,25 @@ class PoseRequest(Request):
     def hint(self) -> str:
         """Return a hint on the unit of the position."""
         return self.typed.hint(f"--{self.prefix}translation", self._pose.translation * self.typed.unit.per_metre)
+
+    @contextmanager
+    def _named(self) -> Iterator[None]:
+        try:
+            yield
+        except ArgumentError as error:
+            if error.argument not in self.options:
+                raise
+            raise error.replaced(argument=f"--{self.prefix}{error.argument}") from error
+
+    def solve(self) -> Any:
+        """Return the solutions of the inverse displacement."""
+        with self._named():
+            return inverse_displacement(self.typed.machine, **self.arguments)
+
+    def physical(self) -> Any:
+        """Return the physical state."""
+        with self._named():
+            return inverse_physical(self.typed.machine, **self.arguments)
 
     @property
     def _pose(self) -> Any:
@@ -319,7 +279,7 @@ class TiltRequest(Request):
 
 def request_of(machine: Any) -> type[Request]:
     """Return the kind of request that a machine has."""
-    return TiltRequest if isinstance(machine, Stage) else PoseRequest
+    return TiltRequest if isinstance(machine, Stage) else Request
 
 
 def sentence(text: str) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 import typer
 
 from spm_pin.cli import outputs, requests
-from spm_pin.cli.options import LEGS_NAMES, Branches, Legs, LegsOption, Readings
+from spm_pin.cli.options import LEGS_NAMES, OF_MANIPULATOR, Branches, Legs, LegsOption, Readings
 from spm_pin.cli.outputs import Report, Table
 from spm_pin.cli.requests import Record, Request, Triple, request_of
 from spm_pin.cli.units import MachineInUnits
@@ -125,9 +125,15 @@ def forward(
     legs: Annotated[Legs, LegsOption(LEGS_NAMES, "Readings of the legs")],
     typed: MachineInUnits,
     every: Annotated[bool, typer.Option("--all", help="Show every assembly mode, not only the physical one.")] = False,
-    xyx: Annotated[bool, typer.Option("--xyx", help="Print the paper's X-Y-X angles in degrees (default).")] = False,
-    rpy: Annotated[bool, typer.Option("--rpy", help="Print roll, pitch and yaw in degrees, as in URDF.")] = False,
-    quat: Annotated[bool, typer.Option("--quat", help="Print the unit quaternion, scalar last.")] = False,
+    xyx: Annotated[
+        bool, typer.Option("--xyx", help="Print the paper's X-Y-X angles in degrees (default)."), OF_MANIPULATOR
+    ] = False,
+    rpy: Annotated[
+        bool, typer.Option("--rpy", help="Print roll, pitch and yaw in degrees, as in URDF."), OF_MANIPULATOR
+    ] = False,
+    quat: Annotated[
+        bool, typer.Option("--quat", help="Print the unit quaternion, scalar last."), OF_MANIPULATOR
+    ] = False,
 ) -> Report:
     """Find the pose of the platform from the readings of the legs, lengths or angles.
 

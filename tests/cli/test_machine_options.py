@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import subprocess
 import sys
@@ -65,10 +66,18 @@ def test_limits_replace_those_of_a_file(tmp_path: Path) -> None:
 
 def test_a_command_for_the_other_kind_is_named(tmp_path: Path) -> None:
     STAGE.to_yaml(tmp_path / "stage.yaml")
-    for machine in (["--machine", tmp_path / "stage.yaml"], SIZES):
-        done = run("inverse", *running.POSE, *machine)
+    commands = (["inverse", *running.POSE], ["draw", "--out", tmp_path / "x.png"], ["forward", *running.LEGS])
+    for command, machine in itertools.product(commands, (["--machine", tmp_path / "stage.yaml"], SIZES)):
+        done = run(*command, *machine)
         assert done.returncode == 2
         assert "expected a manipulator, got a stage. For a stage: spm-pin stage" in done.message
+
+
+def test_options_of_a_manipulator_alone_are_refused_for_a_stage() -> None:
+    for command, option in (("forward", "--rpy"), ("draw", "--width"), ("view", "--path")):
+        done = run("stage", command, *SIZES, option)
+        assert done.returncode == 2
+        assert f"No such option: {option}" in done.message
 
 
 def test_forces_and_rates_of_a_stage() -> None:
