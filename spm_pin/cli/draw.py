@@ -50,7 +50,7 @@ def draw(
     Needs the extra "plots".
     """
     if every and branch is not None:
-        raise ArgumentError("--all", "all branches or some", "both --all and --branch")
+        raise outputs.cannot_be_used("--all", "--branch")
     if not (abs(view[0]) <= 360.0 and abs(view[1]) <= 90.0):
         expected = "azimuth and elevation in degrees, at most 360 and 90"
         raise ArgumentError("--view", expected, f"{view[0]:g} and {view[1]:g}")
@@ -144,7 +144,7 @@ def view(
     beside = {"--translation": pose, "--legs": legs, "--demo": demo or None, "--branch": branch}
     given = [option for option, value in beside.items() if value is not None]
     if path is not None and given:
-        raise ArgumentError("--path", "to be given alone: it begins in the physical branch", ", ".join(given))
+        raise outputs.cannot_be_used("--path", ", ".join(given), "The path begins in the physical branch")
     if path is not None and typed.unit is not LengthUnit.M:
         raise ArgumentError("--unit", "m beside --path, whose columns are in metres", typed.unit)
     from spm_pin.display.viewer import Viewer, read_recording

@@ -86,7 +86,7 @@ def export(
     own, machine = _OWN_OPTIONS[chosen], typed.machine
     for name, value in (special | {"masses": masses, "prefix": prefix}).items():
         if value and name not in own:
-            raise ArgumentError(f"--{name.replace('_', '-')}", f"no such option with --format {chosen}", value)
+            raise outputs.cannot_be_used(f"--{name.replace('_', '-')}", f"--format {chosen}")
     is_stage = isinstance(machine, Stage)
     if ball and not is_stage:
         raise ArgumentError("--ball", "a stage for it to roll on", "a manipulator")

@@ -19,7 +19,7 @@ import numpy as np
 import typer
 from typer.models import ArgumentInfo
 
-from spm_pin.cli.outputs import Report, note
+from spm_pin.cli.outputs import Report, cannot_be_used, note
 from spm_pin.cli.requests import OptionTable, Record, Request, TiltRequest
 from spm_pin.cli.units import LengthUnit, MachineInUnits
 from spm_pin.description.masses import Masses
@@ -250,7 +250,7 @@ def _read_machine(given: Record, _: None, of_stage: bool) -> MachineInUnits:
     if file is not None:
         if numbers:
             beside = ", ".join(f"--{name}" for name in _MACHINE if name in numbers)
-            raise ArgumentError("--machine", "a file alone: its numbers are in metres and radians", f"also {beside}")
+            raise cannot_be_used("--machine", beside, "The file has these dimensions")
         try:
             with warnings_as_notes("--machine: "):
                 machine = Stage.from_yaml(file) if of_stage else machine_from_yaml(file)
@@ -306,7 +306,7 @@ def _leg_kind(given: Record, lengths: Record) -> LegKind:
 def _check_absent(given: Record, names: tuple[str, ...], beside: str) -> None:
     for name in names:
         if given[name] is not None:
-            raise ArgumentError(f"--{name}", f"no such option with {beside}", f"{given[name]:g}")
+            raise cannot_be_used(f"--{name}", beside)
 
 
 def _by_option(error: ArgumentError, names: dict[str, str], values: Record) -> ArgumentError:

@@ -17,7 +17,7 @@ from rich.cells import cell_len
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from spm_pin.errors import ArgumentError, require_extra
+from spm_pin.errors import ArgumentError, SpmError, require_extra
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -163,6 +163,11 @@ class Report:
                 print_lines(part.split("\n"))
         if self.code:
             raise typer.Exit(self.code)
+
+
+def cannot_be_used(option: str, beside: str, cause: str = "") -> SpmError:
+    """Return an error about options that exclude each other."""
+    return SpmError(f"{option} cannot be used with {beside}" + f". {cause}" * bool(cause))
 
 
 def significant(value: float, scale: float = 0.0, digits: int = 5) -> str:

@@ -90,8 +90,8 @@ def sweep(
     machine, unit = typed.machine, typed.unit
     others, own = (poses, tilts) if isinstance(machine, Stage) else (tilts, poses)
     if strange := [option for option, value in others.items() if value is not None]:
-        of = "poses of a manipulator" if isinstance(machine, Stage) else "tilts of a stage, given by --machine"
-        raise ArgumentError(", ".join(strange), f"not to be given: they are {of}", "them")
+        kind, other = ("a stage", "a pose") if isinstance(machine, Stage) else ("a manipulator", "a stage")
+        raise outputs.cannot_be_used(", ".join(strange), kind, f"They are coordinates of {other}")
     domain = None if status else _domain(own, legs, drawn, 1.0 / typed.scale, 1.0 / unit.per_metre)
     if domain is not None:
         require_extra("cluster")

@@ -110,7 +110,7 @@ def test_a_file_a_reach_and_pictures(tmp_path: Path) -> None:
     [
         (SIZES[:6] + SIZES[8:], "--rod: expected the length of the rods together with --crank"),
         (SIZES[:2], "--platform: expected a radius, or --machine with a file"),
-        ([*SIZES, "--slide", "90"], "--slide: expected no such option with --crank"),
+        ([*SIZES, "--slide", "90"], "error: --slide cannot be used with --crank"),
         ([*SIZES, "--sign", "0"], "--sign: expected +1 or -1, the working mode"),
         ([*SIZES, "--limits", "70", "-30"], "--limits: expected minimum < maximum"),
         ([*SIZES, "--azimuth", "10"], "--tilt: expected a tilt together with --azimuth"),
@@ -132,7 +132,7 @@ def test_a_file_a_reach_and_pictures(tmp_path: Path) -> None:
             "--tilt: expected an angle in degrees, from 0 to less than 180, got -10. For a tilt to the",
         ),
         ([*SIZES, "--roll", "800"], "--roll: expected an angle in degrees, of at most one turn, got 800"),
-        ([*SIZES, "--stage", "no.yaml"], "--machine: expected a file alone"),
+        ([*SIZES, "--stage", "no.yaml"], "error: --machine cannot be used with --base, --platform, --crank, --rod"),
         (["--stage", "no.yaml"], "--machine"),
     ],
 )
