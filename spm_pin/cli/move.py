@@ -111,11 +111,11 @@ def move(
         list[str] | None,
         Option(metavar="READINGS", help="Readings to pass on the way, separated by commas; may be repeated, in order."),
     ] = None,
-    leg_rate: Annotated[str | None, _largest("speed of a leg \\[m/s], of cranks \\[rad/s].")] = None,
-    leg_acceleration: Annotated[str | None, _largest("acceleration of a leg \\[m/s²], of cranks \\[rad/s²].")] = None,
-    leg_force: Annotated[str | None, _largest("force of a leg, pushing or pulling \\[N], of cranks \\[N m].")] = None,
+    leg_rate: Annotated[str | None, _largest("speed of a leg \\[m/s], for cranks \\[rad/s].")] = None,
+    leg_acceleration: Annotated[str | None, _largest("acceleration of a leg \\[m/s²], for cranks \\[rad/s²].")] = None,
+    leg_force: Annotated[str | None, _largest("force of a leg, pushing or pulling \\[N], for cranks \\[N m].")] = None,
     leg_jerk: Annotated[
-        str | None, _largest("jerk of a leg \\[m/s³], of cranks \\[rad/s³]: forces without jumps, slower.")
+        str | None, _largest("jerk of a leg \\[m/s³], for cranks \\[rad/s³]: forces without jumps, slower.")
     ] = None,
     twist: Annotated[_Ends, Option(metavar="V OMEGA", help="Speed limits of o \\[m/s] and turning \\[rad/s].")] = None,
     payload: Annotated[float, Option(help="Mass on the platform, at o \\[kg].")] = 0.0,

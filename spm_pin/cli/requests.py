@@ -45,7 +45,7 @@ class Request:
     arguments: Record
     """Arguments of `inverse_displacement`."""
     prefix: str = ""
-    """What the names of the options begin with."""
+    """Beginning of the options' names, such as from-."""
 
     options: ClassVar[OptionTable] = {
         "translation": (Triple, "X Y Z", "Position of o in {B}, in --unit."),
@@ -64,7 +64,7 @@ class Request:
     named: ClassVar[str] = "--translation"
     """Options that errors name."""
     reached: ClassVar[str] = "a pose with a real branch"
-    """What is expected of a request."""
+    """Description of a request that has a solution, for errors."""
     solution: ClassVar[str] = "branch"
     """Name of a solution of the inverse displacement."""
 

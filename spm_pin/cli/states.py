@@ -259,9 +259,9 @@ def statics(
     legs: Readings = None,
     force: Annotated[Triple, _vector("Force onto m at o, in {B}, in newtons.")] = _ZERO,
     moment: Annotated[Triple, _vector("Moment onto m, in {B}, in newton metres.")] = _ZERO,
-    velocity: Annotated[Triple, _vector("Velocity of o in {B}, in --unit per second; of a stage along Z.")] = _ZERO,
+    velocity: Annotated[Triple, _vector("Velocity of o in {B}, in --unit per second; for a stage along Z.")] = _ZERO,
     angular_velocity: Annotated[
-        Triple, _vector("Angular velocity of m in {B}, in degrees per second; of a stage about X and Y.")
+        Triple, _vector("Angular velocity of m in {B}, in degrees per second; for a stage about X and Y.")
     ] = _ZERO,
     branch: Branches = None,
 ) -> Report:
