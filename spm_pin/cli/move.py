@@ -11,7 +11,7 @@ import typer
 from typer import Option
 
 from spm_pin.cli import outputs
-from spm_pin.cli.options import Legs, LegsOption, Masses_, leg_numbers, read_masses
+from spm_pin.cli.options import OF_MANIPULATOR, Legs, LegsOption, Masses_, leg_numbers, read_masses
 from spm_pin.cli.outputs import Report, Table
 from spm_pin.cli.requests import Request, sentence
 from spm_pin.cli.units import MachineInUnits
@@ -38,7 +38,9 @@ def certify(
     ] = 0.0,
     angle_error: Annotated[float, Option(help="Errors of the revolute axes to prove it for, in radians.")] = 0.0,
     inverse: Annotated[
-        bool, Option("--inverse", help="Also inverse singularities: a bound of |det K|, or a singular state.")
+        bool,
+        Option("--inverse", help="Also inverse singularities: a bound of |det K|, or a singular state."),
+        OF_MANIPULATOR,
     ] = False,
     out: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) of the boxes to write.")] = None,
 ) -> Report:

@@ -16,7 +16,7 @@ from typer import Argument, Option
 
 from spm_pin import sweeps
 from spm_pin.cli import outputs
-from spm_pin.cli.options import leg_numbers
+from spm_pin.cli.options import OF_MANIPULATOR, leg_numbers
 from spm_pin.cli.outputs import Report, Table
 from spm_pin.cli.units import MachineInUnits
 from spm_pin.design import VARIABLES, DesignProblem, Front, Task, pareto_front
@@ -48,12 +48,15 @@ _NONE = "no machine keeps the bounds"
 def sweep(
     typed: MachineInUnits,
     out: Annotated[Path, Option(metavar="FOLDER", help="Store of the results, in Zarr v3.")],
-    x: Annotated[str | None, Option(metavar=_RANGE, help="X of o in {B}, in --unit, or one number.")] = None,
-    y: Annotated[str | None, Option(metavar=_RANGE, help="Y, likewise.")] = None,
-    z: Annotated[str | None, Option(metavar=_RANGE, help="Z, likewise.")] = None,
+    x: Annotated[
+        str | None, Option(metavar=_RANGE, help="X of o in {B}, in --unit, or one number."), OF_MANIPULATOR
+    ] = None,
+    y: Annotated[str | None, Option(metavar=_RANGE, help="Y, likewise."), OF_MANIPULATOR] = None,
+    z: Annotated[str | None, Option(metavar=_RANGE, help="Z, likewise."), OF_MANIPULATOR] = None,
     xyx: Annotated[
         tuple[str, str, str] | None,
         Option(metavar="ALPHA BETA LAMBDA", help="X-Y-X angles in degrees, each a range or one number."),
+        OF_MANIPULATOR,
     ] = None,
     height: Annotated[
         str | None, Option(metavar=_RANGE, help="For a stage: height of its platform, in --unit.")
@@ -219,10 +222,12 @@ def design(
     task: Annotated[
         Path | None,
         Option(metavar="CSV", help="Poses to be reached, columns x y z \\[m], qx qy qz qw: task_margin, task_effort."),
+        OF_MANIPULATOR,
     ] = None,
     wrench: Annotated[
         str | None,
         Option(metavar="F,M", help="Force [N] and moment [N m] at o in {B} for task_effort; default: 0,0,-1,0,0,0."),
+        OF_MANIPULATOR,
     ] = None,
     population: Annotated[int, Option(min=2, help="Number of machines in a generation.")] = 40,
     generations: Annotated[int, Option(min=2, help="Number of generations.")] = 25,

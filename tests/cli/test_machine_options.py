@@ -74,7 +74,13 @@ def test_a_command_for_the_other_kind_is_named(tmp_path: Path) -> None:
 
 
 def test_options_of_a_manipulator_alone_are_refused_for_a_stage() -> None:
-    for command, option in (("forward", "--rpy"), ("draw", "--width"), ("view", "--path")):
+    for command, option in (
+        ("forward", "--rpy"),
+        ("draw", "--width"),
+        ("view", "--path"),
+        ("sweep", "--xyx"),
+        ("certify", "--inverse"),
+    ):
         done = run("stage", command, *SIZES, option)
         assert done.returncode == 2
         assert f"No such option: {option}" in done.message
