@@ -186,7 +186,8 @@ class SingularConfigurationError(SpmError):
             "leg": "the actuator of a leg does not move its ball",
         }
         where = f" at batch index {index}" if index else ""
-        message = f"{kind} singularity{where}: {meaning[kind]} (smallest singular value {sigma_min:.1e})"
+        measure = "slope κ of the leg" if kind == "leg" else "smallest singular value"
+        message = f"{kind} singularity{where}: {meaning[kind]} ({measure} {sigma_min:.1e})"
         super().__init__(f"{message}. {cause}" if cause else message)
 
 

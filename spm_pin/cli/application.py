@@ -96,48 +96,50 @@ class _Command(TyperCommand):
 
 
 _COMMANDS = {
-    "demo": "crosscheck",
-    "inverse": "pose_commands",
-    "nearest": "pose_commands",
-    "forward": "pose_commands",
-    "reproduce": "crosscheck",
-    "crosscheck": "crosscheck",
-    "singularities": "pose_commands",
-    "certify": "move",
-    "calibrate": "calibrate",
-    "tolerance": "calibrate",
-    "move": "move",
-    "statics": "pose_commands",
-    "urdf": "export",
-    "draw": "draw",
-    "view": "draw",
-    "export": "export",
-    "workspace": "workspace",
-    "sweep": "workspace",
-    "design": "workspace",
+    "demo": ("crosscheck", "manipulator"),
+    "inverse": ("states", "either"),
+    "nearest": ("states", "either"),
+    "forward": ("states", "either"),
+    "reproduce": ("crosscheck", "manipulator"),
+    "crosscheck": ("crosscheck", "manipulator"),
+    "singularities": ("states", "either"),
+    "certify": ("move", "either"),
+    "calibrate": ("calibrate", "either"),
+    "tolerance": ("calibrate", "either"),
+    "move": ("move", "either"),
+    "statics": ("states", "either"),
+    "write": ("export", "either"),
+    "urdf": ("export", "either"),
+    "draw": ("draw", "either"),
+    "view": ("draw", "either"),
+    "export": ("export", "either"),
+    "workspace": ("workspace", "manipulator"),
+    "reach": ("workspace", "stage"),
+    "sweep": ("sweep", "either"),
+    "design": ("sweep", "either"),
 }
-"""The commands, named like their functions, and their files, in the order of the help."""
-
-_STAGE_COMMANDS = dict.fromkeys(
-    ("inverse", "forward", "reach", "certify", "move", "draw", "view", "calibrate", "tolerance", "write"), "stage"
-)
-"""Those of `spm-pin stage`."""
+"""The commands, named like their functions, in the order of the help: their files, and the machines that they take."""
 
 
-def _add_commands(group: typer.Typer, commands: dict[str, str]) -> None:
-    for name, file in commands.items():
+def _add_commands(group: typer.Typer, *, of_stage: bool) -> None:
+    """Add the commands of a kind of machine; the help has the examples for it."""
+    wrong = "manipulator" if of_stage else "stage"
+    for name, (file, kind) in _COMMANDS.items():
+        if kind == wrong:
+            continue
         # Typer would keep the line breaks of the docstring and wrap them again in a narrower window.
-        paragraphs = _docstrings(file)[name].split("\n\n")
-        text = "\n\n".join(" ".join(text.split()) for text in paragraphs)
-        group.command(name, cls=_Command, help=text)(_loader(name, file))
+        paragraphs = [" ".join(text.split()) for text in _docstrings(file)[name].split("\n\n")]
+        kept = [text for text in paragraphs if "Example" not in text or (": spm-pin stage " in text) == of_stage]
+        group.command(name, cls=_Command, help="\n\n".join(kept))(_loader(name, file, of_stage=of_stage))
 
 
-def _loader(name: str, file: str) -> Callable[[], Callable[..., None]]:
+def _loader(name: str, file: str, *, of_stage: bool) -> Callable[[], Callable[..., None]]:
     """Return a function that imports a command, under the command's name."""
 
     def load() -> Callable[..., None]:
-        command: Callable[..., None] = getattr(import_module(f"spm_pin.cli.{file}"), name)
-        return command
+        from spm_pin.cli.options import make_command
+
+        return make_command(getattr(import_module(f"spm_pin.cli.{file}"), name), of_stage=of_stage)
 
     load.__name__ = name
     return load
@@ -150,10 +152,12 @@ def _docstrings(file: str) -> dict[str, str]:
     return {part.name: ast.get_docstring(part) or "" for part in module.body if isinstance(part, ast.FunctionDef)}
 
 
-_stage = typer.Typer(help="A stage alone: a ball balancer, a tripod head, a mirror mount.", no_args_is_help=True)
-_add_commands(_stage, _STAGE_COMMANDS)
+_stage = typer.Typer(
+    help="The same commands for a stage: a ball balancer, a tripod head, a mirror mount.", no_args_is_help=True
+)
+_add_commands(_stage, of_stage=True)
 app.add_typer(_stage, name="stage")
-_add_commands(app, _COMMANDS)
+_add_commands(app, of_stage=False)
 
 
 def _show_version(requested: bool) -> None:

@@ -13,19 +13,15 @@ from typer import Argument, Option
 from spm_pin.calibration import Calibration, Inclinations, MeasurementError, identify, read_measurements
 from spm_pin.calibration import tolerance as analyse
 from spm_pin.calibration.measurements import LEVEL_NOISE, TRACKER_NOISE
-from spm_pin.cli import options, outputs
+from spm_pin.cli import outputs
+from spm_pin.cli.options import warnings_as_notes
+from spm_pin.cli.outputs import Part, Report, Table
+from spm_pin.cli.units import MachineInUnits
 from spm_pin.display.figures import calibration_figure
 from spm_pin.errors import ArgumentError
 from spm_pin.support.motion_table import MotionTable
 
 
-@outputs.name_options(
-    loss="--loss",
-    parameters="--identify",
-    pose_noise="--pose-noise",
-    reading_noise="--reading-noise",
-    tolerances="--tolerance",
-)
 def calibrate(
     measurements: Annotated[
         Path,
@@ -35,6 +31,7 @@ def calibrate(
             "readings r_b1 to r_c3 (r_1 to r_3 for a stage) \\[m or rad].",
         ),
     ],
+    typed: MachineInUnits,
     out: Annotated[Path | None, outputs.file_option("YAML file of the machine to write.", (".yaml", ".yml"))] = None,
     figure: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) of the errors to write.")] = None,
     identified: Annotated[
@@ -45,12 +42,12 @@ def calibrate(
         tuple[float, float] | None,
         Option(
             metavar="M RAD",
-            help="Standard deviations of positions or heights, and of orientations or tilts; if not given 1e-5 1e-5, "
-            "of roll, pitch and heights 5e-4 2e-3.",
+            help="Standard deviations of positions or heights \\[m], and of orientations or tilts \\[rad]; default: "
+            "1e-5 1e-5, of heights, roll and pitch 5e-4 2e-3.",
         ),
     ] = None,
     reading_noise: Annotated[
-        float, Option(metavar="M", help="Standard deviation of the readings, for RRS legs in radians.")
+        float, Option(metavar="M", help="Standard deviation of the readings \\[m], for RRS legs \\[rad].")
     ] = 1e-6,
     frames: Annotated[
         bool,
@@ -60,22 +57,23 @@ def calibrate(
         list[str] | None,
         Option(
             metavar="SIGMA",
-            help="Standard deviation of all dimensions as made, in metres and radians, or offset=SIGMA of some, which "
-            "are named as for --identify; may be repeated. Unknown if not given.",
+            help="Standard deviation of all dimensions as made \\[m, rad], or offset=SIGMA of some, which are named as "
+            "for --identify; may be repeated. Unknown if not given.",
         ),
     ] = None,
     loss: Annotated[
         str, Option(help="linear refuses outliers; soft_l1, huber and cauchy give them less weight.")
     ] = "linear",
-    machine_file: options.MachineFile = None,
     force: Annotated[bool, Option("--force", help="Write --out even if the measurements do not fit.")] = False,
-    json: options.AsJson = False,
-) -> None:
-    """Identify a machine from measured poses and leg readings.
+) -> Report:
+    """Identify a machine from measured poses, or from tilts of an IMU and heights of a ruler, and leg readings.
 
     Example: spm-pin calibrate measurements.csv --out machine.yaml
 
-    Lengths are in metres, angles in radians. The quaternion is the rotation from {m} to {B}, scalar last. Other
+    Example: spm-pin stage calibrate seen.csv --base 80 --platform 90 --crank 50 --rod 110 --unit mm --out stage.yaml
+
+    Lengths are in metres, angles in radians, in the file and in JSON; --unit is that of the machine's dimensions alone.
+    The quaternion is the rotation from {m} to {B}, scalar last. Cells of roll, pitch and height may be empty. Other
     commands take the written file as --machine. --figure needs the extra "plots".
 
     The exit code is 1, and no machine is written without --force, if a row does not fit the others, residuals
@@ -83,15 +81,15 @@ def calibrate(
     without a machine to write, if the measurements are in another unit, in other columns or rows, or too few. It is 2
     if the file cannot be read.
     """
-    dimensions = options.read_machine(machine_file)
-    with options.warnings_as_notes():
+    machine = typed.machine
+    with warnings_as_notes():
         poses, readings = read_measurements(measurements)
     if pose_noise is None:
         pose_noise = LEVEL_NOISE if isinstance(poses, Inclinations) else TRACKER_NOISE
     noise: dict[str, Any] = {"pose_noise": pose_noise, "reading_noise": reading_noise, "frames": frames}
-    noise["tolerances"] = _read_tolerances(tolerance, dimensions.legs.names) if tolerance else None
+    noise["tolerances"] = _read_tolerances(tolerance, typed.names) if tolerance else None
     try:
-        calibration = identify(dimensions, poses, readings, parameters=identified, loss=loss, **noise)
+        calibration = identify(machine, poses, readings, parameters=identified, loss=loss, **noise)
     except MeasurementError as error:
         message = _with_lines(f"error: the measurements fit no machine: {error}", error.rows, measurements)
         outputs.note(message, "bold red")
@@ -101,18 +99,6 @@ def calibrate(
     if out is not None and (fits or force):
         calibration.fitted.to_yaml(out)
         outputs.note(f"wrote {out}")
-    if json:
-        values = dict(zip(calibration.fitted.parameter_names, calibration.fitted.parameters, strict=True))
-        deviations = dict(zip(calibration.names, calibration.standard_deviations, strict=True))
-        sizes = {name: {"unit": unit, "before": a, "after": b} for name, unit, a, b in _sizes(calibration)}
-        content = {"measurements": len(calibration.misfit), "identified": len(calibration.deviations), "rms": sizes}
-        names = ("status", "reason", "reason_rows", "chi_square", "misfit")
-        content |= {name: getattr(calibration, name) for name in names}
-        content |= {"outliers": np.flatnonzero(calibration.outliers)}
-        content |= {name: getattr(calibration, name).as_matrix() for name in ("base", "target")}
-        outputs.write_json(content | {"parameters": values, "standard_deviations": deviations})
-    else:
-        _report(calibration, measurements, has_tolerances=bool(tolerance))
     if not fits:
         which = "the nominal" if calibration.status == "another nominal" else "one"
         message = f"the measurements do not fit {which} machine: {calibration.reason}"
@@ -120,8 +106,20 @@ def calibrate(
         if calibration.status == "misfit":
             metres, radians = pose_noise
             outputs.note(f"noise given: --pose-noise {metres:g} {radians:g} --reading-noise {reading_noise:g}")
-        if not force:
-            raise typer.Exit(1)
+    parts = _parts(calibration, measurements, has_tolerances=bool(tolerance))
+    return Report(_content(calibration), parts, 0 if fits or force else 1)
+
+
+def _content(calibration: Calibration[Any]) -> dict[str, Any]:
+    values = dict(zip(calibration.fitted.parameter_names, calibration.fitted.parameters, strict=True))
+    deviations = dict(zip(calibration.names, calibration.standard_deviations, strict=True))
+    sizes = {name: {"unit": unit, "before": a, "after": b} for name, unit, a, b in _sizes(calibration)}
+    content = {"measurements": len(calibration.misfit), "identified": len(calibration.deviations), "rms": sizes}
+    names = ("status", "reason", "reason_rows", "chi_square", "misfit")
+    content |= {name: getattr(calibration, name) for name in names}
+    content |= {"outliers": np.flatnonzero(calibration.outliers)}
+    content |= {name: getattr(calibration, name).as_matrix() for name in ("base", "target")}
+    return content | {"parameters": values, "standard_deviations": deviations}
 
 
 def _read_tolerances(typed: list[str], legs: Sequence[str]) -> dict[str, float]:
@@ -137,11 +135,11 @@ def _read_tolerances(typed: list[str], legs: Sequence[str]) -> dict[str, float]:
 
 
 def _sizes(calibration: Calibration[Any]) -> list[tuple[str, str, float, float]]:
-    """Return each compared quantity, its unit, and its root mean square before and after."""
+    """Return each compared quantity, its unit, m or rad, and its root mean square before and after."""
     rows = []
     for name, unit, *sizes in calibration.error_sizes:
-        before, after = (1e3 * float(np.sqrt(np.nanmean(size**2))) for size in sizes)
-        rows.append((name, f"m{unit}", before, after))
+        before, after = (float(np.sqrt(np.nanmean(size**2))) for size in sizes)
+        rows.append((name, unit, before, after))
     return rows
 
 
@@ -154,11 +152,11 @@ def _with_lines(message: str, rows: Sequence[int], path: Path) -> str:
     return f"{message} (row{many} {', '.join(map(str, rows))}: line{many} {numbers} of {path.name})"
 
 
-def _report(calibration: Calibration[Any], measurements: Path, *, has_tolerances: bool) -> None:
+def _parts(calibration: Calibration[Any], measurements: Path, *, has_tolerances: bool) -> list[Part]:
     known, total = len(calibration.deviations), len(calibration.deviations) + len(calibration.unidentifiable)
     lines = [f"{known} of {total} combinations of parameters identified from {len(calibration.misfit)} measurements"]
     for name, unit, before, after in _sizes(calibration):
-        errors = f"{before:.3g} {unit} before, {after:.3g} {unit} after"
+        errors = f"{1e3 * before:.3g} m{unit} before, {1e3 * after:.3g} m{unit} after"
         lines.append(f"{name} predicted from the readings, RMS error: {errors}")
     if np.isfinite(calibration.chi_square):
         lines.append(f"residuals are {np.sqrt(calibration.chi_square):.2g} times what the noise given explains")
@@ -179,7 +177,6 @@ def _report(calibration: Calibration[Any], measurements: Path, *, has_tolerances
             position = ", ".join(f"{x:.6g}" for x in frame.translation)
             turn = ", ".join(f"{x:.6g}" for x in frame.rotation.as_quat())
             lines.append(f"{name}: position {position} m, quaternion {turn}")
-    outputs.print_lines(lines)
     fitted = calibration.fitted
     changes = fitted.parameters - fitted.nominal.parameters
     # Numbers below twice their standard deviation are in brackets; it is larger if the given noise is too small.
@@ -194,37 +191,39 @@ def _report(calibration: Calibration[Any], measurements: Path, *, has_tolerances
     components = dict.fromkeys(name.partition(".")[2] for name in texts)
     columns: dict[str, Any] = {"leg": str}
     columns |= {part: lambda leg, part=part: texts.get(f"{leg}.{part}", "") for part in components}
-    outputs.print_table("Differences from the nominal machine [mm, mrad]", columns, fitted.legs.names)
-    lines = ["(…) is below twice its standard deviation: not known by itself, but in combinations with others."]
+    parts: list[Part] = [*lines, Table("Differences from the nominal machine [mm, mrad]", columns, fitted.legs.names)]
+    parts.append("(…) is below twice its standard deviation: not known by itself, but in combinations with others.")
     if not has_tolerances:
-        lines.append("--tolerance SIGMA, how well the parts are made, keeps these near the nominal machine.")
-    outputs.print_lines(lines)
+        parts.append("--tolerance SIGMA, how well the parts are made, keeps these near the nominal machine.")
+    return parts
 
 
 def _deviation(help_text: str) -> Any:
     return Option(min=0.0, metavar="SIGMA", help=f"Standard deviation of {help_text}")
 
 
-@outputs.name_options(rng="--seed")
 def tolerance(
-    direction: Annotated[float, _deviation("the directions of revolute axes and slides, in radians.")] = 1e-4,
-    pivot: Annotated[float, _deviation("each coordinate of the pivots, in metres.")] = 1e-4,
-    ball: Annotated[float, _deviation("each coordinate of the ball joints, in metres.")] = 1e-4,
-    offset: Annotated[float, _deviation("the encoders' offsets, in metres, for RRS legs in radians.")] = 1e-4,
-    rod: Annotated[float | None, _deviation("the rods, in metres; 1e-4 for legs with rods.")] = None,
-    crank: Annotated[float | None, _deviation("the cranks, in metres; 1e-4 for legs with cranks.")] = None,
+    typed: MachineInUnits,
+    direction: Annotated[float, _deviation("the directions of revolute axes and slides \\[rad].")] = 1e-4,
+    pivot: Annotated[float, _deviation("each coordinate of the pivots \\[m].")] = 1e-4,
+    ball: Annotated[float, _deviation("each coordinate of the ball joints \\[m].")] = 1e-4,
+    offset: Annotated[float, _deviation("the encoders' offsets \\[m], for RRS legs \\[rad].")] = 1e-4,
+    rod: Annotated[float | None, _deviation("the rods \\[m]; default: 1e-4 for legs with rods.")] = None,
+    crank: Annotated[float | None, _deviation("the cranks \\[m]; default: 1e-4 for legs with cranks.")] = None,
     by: Annotated[str, Option(help="Group of the ranking: parameter, component, kind or leg.")] = "component",
     states: Annotated[int, Option(min=1, help="Number of random states within the leg limits.")] = 60,
     samples: Annotated[int, Option(min=0, help="Number of random machines; 0 for first order only.")] = 200,
     seed: Annotated[int, Option(min=0, help="Seed of states and machines.")] = 0,
-    machine_file: options.MachineFile = None,
-    json: options.AsJson = False,
-) -> None:
+) -> Report:
     """Predict the accuracy of the platform for tolerances of the dimensions, and rank them.
 
     Example: spm-pin tolerance --direction 1e-4 --pivot 5e-5 --ball 5e-5 --offset 1e-5
+
+    Example: spm-pin stage tolerance --machine balancer.yaml --pivot 2e-4 --offset 2e-3
+
+    States are drawn within the limits of the readings, which the machine must have.
     """
-    machine = options.read_machine(machine_file)
+    machine = typed.machine
     table = {"direction": direction, "pivot": pivot, "ball": ball, "offset": offset}
     for name, deviation in (("rod", rod), ("crank", crank)):
         if deviation is not None or any(x.endswith(f".{name}") for x in machine.parameter_names):
@@ -232,17 +231,14 @@ def tolerance(
     analysis = analyse(machine, table, states, samples=samples, rng=seed)
     ranking = analysis.ranking(by)
     linear, sampled = analysis.rms, analysis.sampled_rms
-    if json:
-        sizes = {"rms": linear, "sampled_rms": sampled}
-        named = {name: {"position": size[0], "angle": size[1]} for name, size in sizes.items()}
-        outputs.write_json({"tolerances": table, **named, "shares": dict(ranking)})
-        return
+    sizes = {"rms": linear, "sampled_rms": sampled}
+    named = {name: {"position": size[0], "angle": size[1]} for name, size in sizes.items()}
     lines = [f"RMS error of the platform at {states} states, to first order: {_text(linear)}"]
     if samples:
         lines.append(f"of {samples} random machines: {_text(sampled)}; 95 % within {_text(analysis.percentile())}")
-    outputs.print_lines(lines)
     columns = {by: lambda row: str(row[0]), "share": lambda row: f"{row[1]:.1%}"}
-    outputs.print_table("Shares of the variance of the position", columns, ranking[:20])
+    shares = Table("Shares of the variance of the position", columns, ranking[:20])
+    return Report({"tolerances": table, **named, "shares": dict(ranking)}, [*lines, shares])
 
 
 def _text(sizes: tuple[float, float]) -> str:

@@ -14,7 +14,12 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from spm_pin.cli import options, outputs
+from spm_pin.cli import outputs
+from spm_pin.cli.draw import titled_branches
+from spm_pin.cli.outputs import Part, Sentence, Table
+from spm_pin.cli.outputs import Report as Shown
+from spm_pin.cli.requests import selected_labels
+from spm_pin.cli.units import MachineInUnits
 from spm_pin.crosscheck import METHODS, POSE, TABLES, PairDifference, Report, Reproduction, Verdict, compare_in_batches
 from spm_pin.crosscheck import reproduce as recompute
 from spm_pin.crosscheck.paper import published
@@ -40,41 +45,32 @@ _MISTAKES = {
 _STYLES = {Verdict.MISPRINT: "yellow", Verdict.NOT_PRINTED: "yellow", Verdict.UNEXPLAINED: "red"}
 
 
-@outputs.name_options(methods="--method")
 def crosscheck(
+    typed: MachineInUnits,
     poses: Annotated[int, typer.Option(min=1, help="Random poses, four fifths of them in leg space.")] = 200,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the poses and of the wrenches.")] = 0,
     method: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help=f"{', '.join(METHODS)}; may be repeated. Default: all.")
     ] = None,
     pairs: Annotated[bool, typer.Option("--pairs", help="Show every pair of methods, not only the worst.")] = False,
-    machine_file: options.MachineFile = None,
-    json: options.AsJson = False,
     out: Annotated[Path | None, outputs.file_option("JSON file of the report to write.")] = None,
     figure: Annotated[Path | None, outputs.picture_option("Picture of the differences of all pairs to write.")] = None,
-) -> None:
+) -> Shown:
     """Solve random poses by independent methods and compare the results.
 
     Branches, inverse Jacobians and leg forces are compared in pairs, with tolerances from conditioning and rounding.
     Exits with 1 if the methods disagree, and says which one is wrong. If interrupted, it reports the poses done so far.
     --figure needs the extra "plots".
     """
-    report = _compare(options.read_machine(machine_file), poses, seed, method)
-    file = None if machine_file is None else str(machine_file)
+    report = _compare(typed.machine, poses, seed, method)
+    file = None if typed.file is None else str(typed.file)
     content = _comparison_content(report, file)
     if out is not None:
         outputs.write_json(content, out)
     outputs.write_figure(figure, agreement_figure, report)
-    if json:
-        outputs.write_json(content)
-    else:
-        _print_verdict("", report)
-        outputs.stdout.print()
-        _print_scores(report)
-        _print_differences(report, pairs)
-        for line in _remarks(report, method is None, file):
-            outputs.stdout.print(line, soft_wrap=True)
-    _end(report)
+    tables = [_scores(report), _differences(report, pairs)]
+    parts: list[Part] = [_verdict("", report), "", *tables, *_remarks(report, method is None, file)]
+    return Shown(content, parts, _exit_code(report))
 
 
 def _compare(machine: Manipulator, poses: int, seed: int, methods: list[str] | None) -> Report:
@@ -92,16 +88,13 @@ def _compare(machine: Manipulator, poses: int, seed: int, methods: list[str] | N
     return report
 
 
-def _end(report: Report, failed: bool = False) -> None:
-    """Raise the exit code of a comparison, which Ctrl-C may have ended early."""
-    if len(report.xyx) < report.requested:
-        raise typer.Exit(130)
-    if failed or not report.agrees:
-        raise typer.Exit(1)
+def _exit_code(report: Report, failed: bool = False) -> int:
+    """Return the exit code of a comparison, which Ctrl-C may have ended early."""
+    return 130 if len(report.xyx) < report.requested else int(failed or not report.agrees)
 
 
-def _print_verdict(heading: str, report: Report) -> None:
-    """Print the result of a comparison in one sentence, naming methods that did not solve every pose."""
+def _verdict(heading: str, report: Report) -> Sentence:
+    """Return the result of a comparison in one sentence, naming methods that did not solve every pose."""
     done, names = len(report.xyx), []
     for score in report.scores:
         pairs = (pair for pair in report.differences if score.name in (pair.first, pair.second))
@@ -113,10 +106,10 @@ def _print_verdict(heading: str, report: Report) -> None:
     if done < report.requested:
         count = f"Interrupted after {done} of {report.requested} poses"
     line = f"{heading}{count}, {report.states} configurations, by {', '.join(names)}. {report.verdict}"
-    outputs.print_lines([line], "bold green" if report.agrees else "bold red")
+    return Sentence(line, "bold green" if report.agrees else "bold red")
 
 
-def _print_scores(report: Report) -> None:
+def _scores(report: Report) -> Table:
     counts = {"poses": "solved", "branches": "branches", "not closed": "invented", "poses lacking one": "missed"}
     columns: dict[str, Any] = {"method": lambda score: score.name}
     columns |= {
@@ -126,11 +119,11 @@ def _print_scores(report: Report) -> None:
     columns["expected"] = lambda score: f"{100 * score.allowed:g} %" if score.solved else "-"
     faulty = {score.name: "red" for score in report.scores if score.invented or score.misses_too_often}
     title = "Inverse displacement by each method, and the number of poses at which it lacks a branch"
-    outputs.print_table(title, columns, report.scores, style=lambda score: faulty.get(score.name))
+    return Table(title, columns, report.scores, style=lambda score: faulty.get(score.name))
 
 
-def _print_differences(report: Report, pairs: bool) -> None:
-    """Print the differences of all pairs of methods, or the largest for each quantity."""
+def _differences(report: Report, pairs: bool) -> Table:
+    """Return the differences of all pairs of methods, or the largest for each quantity."""
     shown: list[PairDifference] = []
     for _, group in groupby(report.differences, key=attrgetter("quantity")):
         of_quantity = list(group)
@@ -144,7 +137,7 @@ def _print_differences(report: Report, pairs: bool) -> None:
         "share": lambda pair: f"{pair.ratio:.0e}",
     }
     which = "Differences of all pairs" if pairs else "Largest difference in each quantity"
-    outputs.print_table(
+    return Table(
         f"{which}, and its share of the tolerance",
         columns,
         shown,
@@ -200,7 +193,6 @@ _NEXT = (
 )
 
 
-@outputs.name_options()
 def demo(
     out: Annotated[Path | None, outputs.picture_option("Picture of the example's branches: .png, .svg, .pdf.")] = None,
     poses: Annotated[int, typer.Option(min=1, help="Random poses of the comparison.")] = 50,
@@ -211,34 +203,27 @@ def demo(
     """
     reproduction = recompute()
     report = _compare(Manipulator.paper(), poses, 0, None)
+    parts: list[Part] = [_summary("The paper:   ", reproduction), _verdict("The methods: ", report)]
+    parts += [_tables_summary(reproduction), _differences(report, pairs=False)]
     if out is not None:
         example = pose(np.array(published.POSITION) / 100.0, xyx=np.deg2rad(published.XYX_DEGREES))
         solutions = inverse_displacement(Manipulator.paper(), example)
-        save_gallery(options.titled_branches(solutions, options.selected_labels(solutions, None)), out)
-    _print_summary("The paper:   ", reproduction)
-    _print_verdict("The methods: ", report)
-    _print_tables_summary(reproduction)
-    _print_differences(report, pairs=False)
-    if out is not None:
-        outputs.stdout.print(f"Picture of the six real branches of the paper's pose: {out}", soft_wrap=True)
-    outputs.stdout.print("Try next:")
+        save_gallery(titled_branches(solutions, selected_labels(solutions, None)), out)
+        parts.append(f"  {out}: picture of the six real branches of the paper's pose")
     program = "spm-pin" if shutil.which("spm-pin") else sys.argv[0]
     width = max(len(arguments) for arguments, _ in _NEXT)
-    for arguments, what in _NEXT:
-        outputs.stdout.print(f"  {program} {arguments:{width}}  {what}", soft_wrap=True)
-    _end(report, failed=bool(reproduction.unexplained))
+    parts += ["Try next:", *(f"  {program} {arguments:{width}}  {what}" for arguments, what in _NEXT)]
+    Shown(None, parts, _exit_code(report, failed=bool(reproduction.unexplained))).show(json=False)
 
 
-@outputs.name_options(tables="--table")
 def reproduce(
     table: Annotated[
         list[int] | None,
         typer.Option(metavar="NUMBER", help="Show every cell of a table, 1 to 5; may be repeated. Default: all."),
     ] = None,
     cells: Annotated[bool, typer.Option("--cells", help="Show every cell of all tables.")] = False,
-    json: options.AsJson = False,
     out: Annotated[Path | None, outputs.file_option("JSON file of all results to write.")] = None,
-) -> None:
+) -> Shown:
     """Recompute the paper's tables and compare every printed digit.
 
     Exits with 1 if a printed number differs and no cause was found.
@@ -256,22 +241,16 @@ def reproduce(
     }
     if out is not None:
         outputs.write_json(content, out)
-    if json:
-        outputs.write_json(content)
-    else:
-        _print_summary("", reproduction)
-        outputs.stdout.print()
-        _print_tables_summary(reproduction)
-        if cells or table is not None:
-            _print_cells(reproduction)
-        outputs.print_lines(f"• {line}" for line in _findings(reproduction))
+    parts: list[Part] = [_summary("", reproduction), "", _tables_summary(reproduction)]
+    parts += _cells(reproduction) if cells or table is not None else []
+    parts += [f"• {line}" for line in _findings(reproduction)]
     if reproduction.unexplained:
         outputs.note(f"{len(reproduction.unexplained)} printed values differ without an explanation", "bold red")
-        raise typer.Exit(1)
+    return Shown(content, parts, int(bool(reproduction.unexplained)))
 
 
-def _print_summary(heading: str, reproduction: Reproduction) -> None:
-    """Print the result in one sentence, with the counts of the tables, without the example's pose."""
+def _summary(heading: str, reproduction: Reproduction) -> Sentence:
+    """Return the result in one sentence, with the counts of the tables, without the example's pose."""
     cells = reproduction.in_tables
     counts = Counter(cell.verdict for cell in cells)
     numbers = sorted({cell.table for cell in cells})
@@ -281,16 +260,16 @@ def _print_summary(heading: str, reproduction: Reproduction) -> None:
     others = ", ".join(f"{counts[verdict]} {word}" for verdict, word in words.items() if counts[verdict])
     if others:
         line += f", {'not all' if reproduction.unexplained else 'all'} others are explained: {others}"
-    outputs.print_lines([f"{line}."], "bold red" if reproduction.unexplained else "bold green")
+    return Sentence(f"{line}.", "bold red" if reproduction.unexplained else "bold green")
 
 
-def _print_tables_summary(reproduction: Reproduction) -> None:
-    """Print the number of cells of each table that agree."""
+def _tables_summary(reproduction: Reproduction) -> Table:
+    """Return the number of cells of each table that agree."""
     rows = {number: [cell.verdict for cell in reproduction.table(number)] for number in _TITLES}
     columns: dict[str, Any] = {"": lambda n: _TITLES[n].partition(" (")[0], "cells": lambda n: str(len(rows[n]))}
     columns |= {str(verdict): lambda n, verdict=verdict: str(rows[n].count(verdict)) for verdict in Verdict}
     red = {n: "red" for n in rows if Verdict.UNEXPLAINED in rows[n]}
-    outputs.print_table("The paper's numbers, recomputed", columns, filter(rows.get, rows), style=red.get)
+    return Table("The paper's numbers, recomputed", columns, list(filter(rows.get, rows)), style=red.get)
 
 
 def _number(value: complex, like: str = "0.0000") -> str:
@@ -301,7 +280,7 @@ def _number(value: complex, like: str = "0.0000") -> str:
     return real if abs(value.imag) < 1e-9 else f"{real}{value.imag:+.{digits}f}i"
 
 
-def _print_cells(reproduction: Reproduction) -> None:
+def _cells(reproduction: Reproduction) -> list[Table]:
     columns: dict[str, Any] = {
         "": lambda cell: cell.row,
         "solution": lambda cell: cell.column,
@@ -310,15 +289,17 @@ def _print_cells(reproduction: Reproduction) -> None:
         "difference": lambda cell: "" if cell.difference is None else f"{cell.difference:.0e}",
         "verdict": lambda cell: cell.verdict,
     }
-    for number, cells in groupby(reproduction.cells, key=attrgetter("table")):
-        outputs.print_table(
+    tables = [
+        Table(
             _TITLES[number],
             columns,
-            cells,
+            list(cells),
             left=["verdict"],
             group=lambda cell: cell.row if 0 < cell.table < 5 else None,
             style=lambda cell: _STYLES.get(cell.verdict),
         )
+        for number, cells in groupby(reproduction.cells, key=attrgetter("table"))
+    ]
     if any(cell.table < 5 for cell in reproduction.cells):
         columns = {
             "solution": lambda each: str(each.solution),
@@ -328,13 +309,14 @@ def _print_cells(reproduction: Reproduction) -> None:
             "difference": lambda each: f"{each.difference:.0e}",
         }
         title = "The same solutions by two methods: b_2Y (cm), and the largest difference"
-        outputs.print_table(title, columns, reproduction.solutions, left=["branch"])
+        tables.append(Table(title, columns, reproduction.solutions, left=["branch"]))
     if reproduction.true_values:
         names = ("", "paper: 9 × 9", "wrench form", "Pinocchio")
         columns = {name: lambda row, k=k: fixed(row[k], 6) if k else row[k] for k, name in enumerate(names)}
         columns["difference"] = lambda row: f"{max(row[1:]) - min(row[1:]):.0e}"
         rows = [astuple(true) for true in reproduction.true_values]
-        outputs.print_table("The true numbers of Table 5 by three methods", columns, rows)
+        tables.append(Table("The true numbers of Table 5 by three methods", columns, rows))
+    return tables
 
 
 def _findings(reproduction: Reproduction) -> list[str]:

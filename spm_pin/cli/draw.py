@@ -10,61 +10,60 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
 from typer import Option
 
-from spm_pin.cli import options, outputs
-from spm_pin.cli.options import LengthUnit
-from spm_pin.display.plots import NARROWEST, save_gallery, save_picture
-from spm_pin.display.writing import FORMATS
+from spm_pin.cli import outputs, requests
+from spm_pin.cli.options import OF_MANIPULATOR, Branches, Readings
+from spm_pin.cli.requests import Request, request_of
+from spm_pin.cli.units import LengthUnit, MachineInUnits
+from spm_pin.display.plots import NARROWEST, save_gallery, save_picture, stage_figure
+from spm_pin.display.writing import FORMATS, save_figure
 from spm_pin.errors import ArgumentError, require_extra
-from spm_pin.machine import LEGS
-
-Host = Annotated[str, Option(help="Address to listen at; only this machine reaches the default.")]
-Port = Annotated[int, Option(help="First port to try; 0 lets the system choose.")]
-Dark = Annotated[bool, Option("--dark", help="Begin with a dark page.")]
-Browser = Annotated[bool, Option("--open/--no-open", help="Open the page in a browser.")]
+from spm_pin.machine import Configuration, Stage, Status
 
 
-@outputs.name_options(leg_lengths="--legs", readings="--legs")
-@options.takes_pose(required=False)
 def draw(
     out: Annotated[Path, outputs.picture_option(f"Picture to write: {', '.join(FORMATS)}.")],
-    pose: RigidTransform | None = None,
-    legs: options.AnyLegs = None,
-    branch: options.Branches = None,
-    every: Annotated[bool, Option("--all", help="All real branches, side by side.")] = False,
-    unit: options.Unit = LengthUnit.M,
-    machine_file: options.MachineFile = None,
+    typed: MachineInUnits,
+    pose: Request | None = None,
+    legs: Readings = None,
+    branch: Branches = None,
+    every: Annotated[bool, Option("--all", help="All real branches, side by side."), OF_MANIPULATOR] = False,
     view: Annotated[
-        tuple[float, float], Option(metavar="AZIMUTH ELEVATION", help="Direction of the view, in degrees.")
+        tuple[float, float],
+        Option(metavar="AZIMUTH ELEVATION", help="Direction of the view, in degrees."),
+        OF_MANIPULATOR,
     ] = (15.0, 25.0),
-    width: Annotated[int | None, Option(help="Width of the picture in pixels.")] = None,
+    width: Annotated[int | None, Option(help="Width of the picture in pixels."), OF_MANIPULATOR] = None,
     names: Annotated[
         bool | None,
         Option("--names/--no-names", help="Names of joints, legs and axes; default: for a single branch."),
     ] = None,
-    background: Annotated[str | None, Option(help="A colour, or none; default: white.")] = None,
+    background: Annotated[str | None, Option(help="A colour, or none; default: white."), OF_MANIPULATOR] = None,
 ) -> None:
-    """Draw the manipulator: the physical branch of a pose, named branches, or all of them.
+    """Draw the machine: the physical branch of a pose, named branches, or all of them.
 
     Example: spm-pin draw --out branches.png --all
+
+    Example: spm-pin stage draw --base 80 --platform 90 --crank 50 --rod 110 --unit mm --tilt 12 --out stage.png
 
     Needs the extra "plots".
     """
     if every and branch is not None:
-        raise ArgumentError("--all", "all branches or some", "both --all and --branch")
+        raise outputs.cannot_be_used("--all", "--branch")
     if not (abs(view[0]) <= 360.0 and abs(view[1]) <= 90.0):
         expected = "azimuth and elevation in degrees, at most 360 and 90"
         raise ArgumentError("--view", expected, f"{view[0]:g} and {view[1]:g}")
-    solutions, default = options.requested_solutions(options.read_machine(machine_file), pose, legs, unit)
-    direction = math.radians(view[0]), math.radians(view[1])
-    appearance: dict[str, Any] = {"view": direction, "background": background or "white"}
+    solutions, default = _requested(typed, pose, legs)
+    appearance: dict[str, Any] = {"view": (math.radians(view[0]), math.radians(view[1]))}
+    appearance["background"] = background or "white"
     named = branch is not None
-    labels = options.selected_labels(solutions, branch, required=named) if every or named else []
+    labels = requests.selected_labels(solutions, branch, required=named) if every or named else []
     states = {"": solutions[labels[0]] if labels else default}
-    if len(labels) > 1:
-        states = options.titled_branches(solutions, labels)
+    if isinstance(typed.machine, Stage):
+        save_figure(stage_figure(states[""], names=names is not False), out)
+    elif len(labels) > 1:
+        states = titled_branches(solutions, labels)
         save_gallery(states, out, labels=bool(names), width=width or 1600, **appearance)
     else:
         width = width or 1000
@@ -73,61 +72,93 @@ def draw(
     outputs.note(f"wrote {out}")
     beyond = []
     for title, state in states.items():
-        beyond_limits = ", ".join(LEGS[leg] for leg in np.flatnonzero(state.limit_excess))
-        if beyond_limits:
-            beyond.append(f"{title}: {beyond_limits}" if title else beyond_limits)
+        if legs_beyond := ", ".join(typed.names[leg] for leg in np.flatnonzero(state.limit_excess)):
+            beyond.append(f"{title}: {legs_beyond}" if title else legs_beyond)
     if beyond:
         outputs.note(f"legs beyond their limits: {'; '.join(beyond)}", "yellow")
 
 
-@outputs.name_options(leg_lengths="--legs", readings="--legs", points="--path")
-@options.takes_pose(required=False)
+def titled_branches(solutions: Any, labels: list[str]) -> dict[str, Configuration]:
+    """Return branches of a pose by the titles of their pictures."""
+    titled, physical = {}, solutions.is_physical
+    for k in map(solutions.labels.index, labels):
+        state = solutions.configurations[k]
+        marks = ", physical" * bool(physical[k]) + ", beyond limits" * bool(state.limit_excess.any())
+        titled[solutions.labels[k] + marks] = state
+    return titled
+
+
+def _requested(typed: MachineInUnits, pose: Request | None, legs: Any) -> tuple[Any, Any]:
+    """Return the branches of the requested pose, and the one to use if none is named.
+
+    That is the physical one, or else the first; with `legs` the state of these; without options, a regular
+    configuration near the home.
+    """
+    machine, kind = typed.machine, request_of(typed.machine)
+    if pose is None and legs is None:
+        state = kind.start(machine)
+        return kind.of_state(state, typed).solve(), state
+    solutions, remarks = requests.solve_request(typed, pose, legs)
+    state = solutions.physical()
+    is_missing = not (state.exists if isinstance(machine, Stage) else solutions.count)
+    if is_missing and legs is not None:
+        raise ArgumentError("--legs", "readings with which the machine can be assembled", "others", " ".join(remarks))
+    if is_missing and pose is not None:
+        if solutions.status is Status.UNREACHABLE or isinstance(machine, Stage):
+            reached = pose.nearest()
+            remarks += [] if reached is None else [f"The nearest: {reached[1]}"]
+        raise ArgumentError(kind.named, kind.reached, f"status {solutions.status}", " ".join(remarks))
+    if not state.exists:
+        outputs.note("no branch of this pose is physical", "yellow")
+        state = solutions.configurations[int(solutions.exists.argmax())]
+    return solutions if pose is not None else kind.of_state(state, typed).solve(), state
+
+
 def view(
-    pose: RigidTransform | None = None,
-    legs: options.AnyLegs = None,
-    branch: Annotated[str | None, Option(metavar="LABEL", help="Branch to begin with, such as TT+.")] = None,
-    unit: options.Unit = LengthUnit.M,
-    machine_file: options.MachineFile = None,
-    path: Annotated[Path | None, Option(metavar="FILE", help="A recorded path to play, a CSV file.")] = None,
-    host: Host = "127.0.0.1",
-    port: Port = 8080,
-    demo: Annotated[
-        bool | None, Option("--demo/--no-demo", help="Move until touched; default: if no pose is given.")
+    typed: MachineInUnits,
+    pose: Request | None = None,
+    legs: Readings = None,
+    branch: Annotated[
+        str | None, Option(metavar="LABEL", help="Branch to begin with, such as TT+."), OF_MANIPULATOR
     ] = None,
-    dark: Dark = False,
-    browser: Browser = True,
+    path: Annotated[
+        Path | None, Option(metavar="FILE", help="A recorded path to play, a CSV file."), OF_MANIPULATOR
+    ] = None,
+    host: Annotated[str, Option(help="Address to listen at; only this machine reaches the default.")] = "127.0.0.1",
+    port: Annotated[int, Option(help="First port to try; 0 lets the system choose.")] = 8080,
+    demo: Annotated[
+        bool | None,
+        Option("--demo/--no-demo", help="Move until touched; default: if no pose is given."),
+        OF_MANIPULATOR,
+    ] = None,
+    dark: Annotated[bool, Option("--dark", help="Begin with a dark page.")] = False,
+    browser: Annotated[bool, Option("--open/--no-open", help="Open the page in a browser.")] = True,
 ) -> None:
-    """Drag the platform and watch all branches, in a browser. Ends with Ctrl-C.
+    """Drag the platform, or its legs, and watch all branches, in a browser. Ends with Ctrl-C.
+
+    Example: spm-pin stage view --base 80 --platform 90 --crank 50 --rod 110 --limits -35 70 --unit mm
 
     Needs the extra "viewer".
     """
     require_extra("viewer")
-    beside = {"--translation": pose, "--legs": legs, "--demo": demo, "--branch": branch}
-    ignored = [option for option, value in beside.items() if value not in (None, False)]
-    if path is not None and ignored:
-        raise ArgumentError("--path", "to be given alone: it begins in the physical branch", ", ".join(ignored))
-    if path is not None and unit is not LengthUnit.M:
-        raise ArgumentError("--unit", "m beside --path, whose columns are in metres", unit)
-    from spm_pin.display.viewer import read_recording
+    beside = {"--translation": pose, "--legs": legs, "--demo": demo or None, "--branch": branch}
+    given = [option for option, value in beside.items() if value is not None]
+    if path is not None and given:
+        raise outputs.cannot_be_used("--path", ", ".join(given), "The path begins in the physical branch")
+    if path is not None and typed.unit is not LengthUnit.M:
+        raise ArgumentError("--unit", "m beside --path, whose columns are in metres", typed.unit)
+    from spm_pin.display.viewer import Viewer, read_recording
 
-    dimensions = options.read_machine(machine_file)
     recording = read_recording(path) if path is not None else None
     if recording is not None:
-        recording.check_unit(dimensions)
-    solutions, start = options.requested_solutions(dimensions, pose, legs, unit)
+        recording.check_unit(typed.machine)
+    solutions, start = _requested(typed, pose, legs)
     if branch is not None:
-        (label,) = options.selected_labels(solutions, [branch], required=True)
+        (label,) = requests.selected_labels(solutions, [branch], required=True)
         start = solutions[label]
     if demo is None:
-        demo = all(option is None for option in (pose, legs, branch, path))
-    page = {"recording": recording, "machine_file": machine_file, "demo": demo}
-    serve(start, host=host, port=port, browser=browser, dark=dark, **page)
-
-
-def serve(start: Any, *, host: str, port: int, browser: bool, **page: Any) -> None:
-    """Serve the page of a machine until Ctrl-C."""
-    from spm_pin.display.viewer import Viewer
-
+        demo = not given and path is None
+    page: dict[str, Any] = {"recording": recording, "machine_file": typed.file, "demo": demo, "dark": dark}
     with outputs.progress_bar() as bar:
         viewer = Viewer(start, host=host, port=port, progress=bar, **page)
     with viewer:

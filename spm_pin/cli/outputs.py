@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import codecs
 import contextlib
-import functools
 import io
 import os
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Any, ParamSpec
 
 import typer
 from rich.cells import cell_len
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from typer.models import ArgumentInfo
 
-from spm_pin.errors import ArgumentError, require_extra
+from spm_pin.errors import ArgumentError, SpmError, require_extra
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -38,8 +37,6 @@ _PRINTED_AS_ZERO = 1e-12
 """A number smaller than this fraction of its scale is printed as zero."""
 
 P = ParamSpec("P")
-R = TypeVar("R")
-Row = TypeVar("Row")
 
 _ASCII = {"─": "-", "│": "|", "²": "^2", "³": "^3", "°": " deg", "σ": "s", "ω": "w", "Δ": "d", "±": "+-", "·": "*"}
 _ASCII |= {"×": "x", "•": "*", "→": "->", "≤": "<=", "≥": ">=", "…": "...", "–": "-", "√": "sqrt", "−": "-", "∞": "inf"}
@@ -73,9 +70,9 @@ def flush() -> None:
 
 
 def print_lines(lines: Iterable[str], style: str | None = None) -> None:
-    """Print sentences on stdout, wrapped between words on a screen, but not in a pipe, nor within options to copy."""
+    """Print sentences on stdout, wrapped between words on a screen, but not in a pipe, nor if indented, to copy."""
     for line in lines:
-        stdout.print(line, style=style, soft_wrap=not stdout.is_terminal or line.startswith("  --"))
+        stdout.print(line, style=style, soft_wrap=not stdout.is_terminal or line.startswith("  "))
 
 
 def note(text: str, style: str | None = None) -> None:
@@ -94,41 +91,83 @@ def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
         yield lambda step, done, total: bar.update(task, description=step, completed=done, total=total)
 
 
-def print_table(
-    title: str,
-    columns: Mapping[str, Callable[[Row], str]],
-    rows: Iterable[Row],
-    *,
-    left: Collection[str] = (),
-    group: Callable[[Row], object] = lambda row: None,
-    style: Callable[[Row], str | None] = lambda row: None,
-) -> None:
-    """Print a table on stdout without wrapping lines; `columns` are headings and functions from a row to its text.
+@dataclass(frozen=True)
+class Table:
+    """A table of a report: headings, and functions from a row to its text.
 
     The first column, and those with headings in `left`, are aligned to the left; an empty line separates rows of
-    another `group`. Without rows nothing is printed.
+    another `group`. A table without rows is not printed.
     """
-    rows, headings = list(rows), list(columns)
-    if not rows:
-        return
-    cells = [[text(row) for text in columns.values()] for row in rows]
-    widths = [max(map(cell_len, column)) for column in zip(headings, *cells, strict=True)]
 
-    def line(texts: Sequence[str], style: str | None = None) -> None:
-        padded = []
-        for k, text in enumerate(texts):
-            space = " " * (widths[k] - cell_len(text))
-            padded.append(text + space if k == 0 or headings[k] in left else space + text)
-        stdout.print(" " + "  ".join(padded).rstrip(), style=style, soft_wrap=True)
+    title: str
+    columns: Mapping[str, Callable[[Any], str]]
+    rows: Iterable[Any]
+    left: Collection[str] = ()
+    group: Callable[[Any], object] = lambda row: None
+    style: Callable[[Any], str | None] = lambda row: None
 
-    stdout.print(f"{title}\n", style="bold", soft_wrap=True)
-    line(headings, "bold")
-    stdout.print(" " + "─" * (sum(widths) + 2 * len(widths) - 2), soft_wrap=True)
-    for number, (row, texts) in enumerate(zip(rows, cells, strict=True)):
-        if number and group(row) != group(rows[number - 1]):
-            stdout.print()
-        line(texts, style(row))
-    stdout.print()
+    def print(self) -> None:
+        """Print the table on stdout, without wrapping lines."""
+        rows, headings = list(self.rows), list(self.columns)
+        if not rows:
+            return
+        cells = [[text(row) for text in self.columns.values()] for row in rows]
+        widths = [max(map(cell_len, column)) for column in zip(headings, *cells, strict=True)]
+
+        def line(texts: Sequence[str], style: str | None = None) -> None:
+            padded = []
+            for k, text in enumerate(texts):
+                space = " " * (widths[k] - cell_len(text))
+                padded.append(text + space if k == 0 or headings[k] in self.left else space + text)
+            stdout.print(" " + "  ".join(padded).rstrip(), style=style, soft_wrap=True)
+
+        stdout.print(f"{self.title}\n", style="bold", soft_wrap=True)
+        line(headings, "bold")
+        stdout.print(" " + "─" * (sum(widths) + 2 * len(widths) - 2), soft_wrap=True)
+        for number, (row, texts) in enumerate(zip(rows, cells, strict=True)):
+            if number and self.group(row) != self.group(rows[number - 1]):
+                stdout.print()
+            line(texts, self.style(row))
+        stdout.print()
+
+
+@dataclass(frozen=True)
+class Sentence:
+    """A sentence of a report in a style of Rich."""
+
+    text: str
+    style: str
+
+
+Part = Table | Sentence | str
+
+
+@dataclass(frozen=True)
+class Report:
+    """Result of a command: its content for --json, otherwise tables and sentences; and the exit code."""
+
+    content: Any
+    parts: Sequence[Part]
+    code: int = 0
+
+    def show(self, *, json: bool) -> None:
+        """Print the report, and end with the exit code."""
+        if json:
+            write_json(self.content)
+        for part in () if json else self.parts:
+            if isinstance(part, Table):
+                part.print()
+            elif isinstance(part, Sentence):
+                print_lines([part.text], part.style)
+            else:
+                print_lines(part.split("\n"))
+        if self.code:
+            raise typer.Exit(self.code)
+
+
+def cannot_be_used(option: str, beside: str, cause: str = "") -> SpmError:
+    """Return an error about options that exclude each other."""
+    return SpmError(f"{option} cannot be used with {beside}" + f". {cause}" * bool(cause))
 
 
 def significant(value: float, scale: float = 0.0, digits: int = 5) -> str:
@@ -208,64 +247,3 @@ def write_figure(path: Path | None, draw: Callable[P, Figure], *args: P.args, **
 
         save_figure(draw(*args, **kwargs), path)
         note(f"wrote {path}")
-
-
-_FILES = {"machine": "machine_file"}
-"""Arguments of functions that commands read from a file, and the commands' parameters with its name."""
-
-
-def name_options(**options: str | tuple[str, ...]) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Decorate a command so that its errors name the typed options instead of the arguments of functions.
-
-    `options` maps arguments to options with other names: if there are several, to the first that
-    was typed, or the last. Errors in a file get the option in front.
-    """
-
-    def decorate(command: Callable[P, R]) -> Callable[P, R]:
-        typed = {name: _option_name(name, hint) for name, hint in get_type_hints(command, include_extras=True).items()}
-
-        @functools.wraps(command)
-        def run(*args: P.args, **kwargs: P.kwargs) -> R:
-            try:
-                return command(*args, **kwargs)
-            except ArgumentError as error:
-                argument = _FILES.get(error.argument, error.argument)
-                option = options.get(argument)
-                if isinstance(option, tuple):
-                    given = {typed[name] for name in typed.keys() & kwargs.keys() if kwargs[name] is not None}
-                    option = next((name for name in option if name in given), option[-1])
-                if option is None and kwargs.get(argument) is not None:
-                    option = typed[argument]
-                    if isinstance(kwargs[argument], Path) and error.received != kwargs[argument]:
-                        option += f" {kwargs[argument]}"
-                for name, path in kwargs.items():
-                    if isinstance(path, Path) and argument == "path" and error.received == path:
-                        option = typed[name]
-                    elif isinstance(path, Path) and error.file == str(path) and not argument.startswith("--"):
-                        raise in_file_of(typed[name], error) from error
-                if option is None:
-                    raise
-                raise error.replaced(argument=option) from error
-
-        return run
-
-    return decorate
-
-
-def in_file_of(option: str, error: ArgumentError) -> ArgumentError:
-    """Return an error in a file as one that also names the option of the file."""
-    if error.argument:
-        return error.replaced(argument=f"{option}: {error.argument}")
-    return error.replaced(argument=f"{option}: {error.file}" + f":{error.line}" * bool(error.line), file="")
-
-
-def _option_name(parameter: str, hint: Any) -> str:
-    """Return what a user types for a parameter of a command: its option, or the argument's name in the help."""
-    for info in getattr(hint, "__metadata__", ()):
-        if isinstance(info, ArgumentInfo):
-            return str(info.metavar or parameter.upper())
-        # If there are several names, typer takes the first for a default.
-        for declared in (getattr(info, "default", None), *(getattr(info, "param_decls", None) or ())):
-            if isinstance(declared, str) and declared.startswith("--"):
-                return declared.partition("/")[0]
-    return f"--{parameter.replace('_', '-')}"

@@ -196,13 +196,6 @@ def starting_configuration(machine: Manipulator) -> Configuration:
     raise ArgumentError("machine", "a manipulator that stands near its home", machine, "Give a pose instead")
 
 
-def set_of_one(state: Configuration, label: str) -> SolutionSet:
-    """Return a set with one solution, which may be missing."""
-    arrays = (array[None] for array in (state.rotation, state.translation, state.middle_joints))
-    states = Configuration.from_arrays(state.machine, *arrays)
-    return SolutionSet(states, (label,), Status.OK if state.exists else Status.UNREACHABLE)
-
-
 def _check_near(machine: Manipulator, lengths: FloatArray, near: Configuration) -> None:
     """Raise an ArgumentError if `near` is not a closed state of this machine whose shape fits lengths (..., 6)."""
     check_configuration(near, "near", existing=True)

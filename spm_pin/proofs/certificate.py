@@ -137,9 +137,10 @@ class Certificate:
 
     def explain(self) -> str:
         """Return the statement proved, or the counterexample or doubt that is left, in a few lines."""
-        low, high, units = self.limits.minimum, self.limits.maximum, self.machine.legs.units
+        low, high = self.limits.minimum, self.limits.maximum
         ranges = dict.fromkeys(
-            f"{min(low[k : k + 3]):g} {units[k]} to {max(high[k : k + 3]):g} {units[k]}" for k in range(0, len(low), 3)
+            f"{self._reading(min(low[k : k + 3]), k, 'g')} to {self._reading(max(high[k : k + 3]), k, 'g')}"
+            for k in range(0, len(low), 3)
         )
         lines = [f"Readings from {' and '.join(ranges)}, {sum(proof.boxes for proof in self.stages):,} boxes."]
         if any(self.errors):
@@ -177,9 +178,13 @@ class Certificate:
                 lines.append(f"Undecided: {len(boxes):,} boxes of {name}, tilted by up to {tilt:.0f}°.")
         return "\n".join(lines)
 
+    def _reading(self, reading: float, leg: int, form: str = ".6f") -> str:
+        """Return a reading with its unit, an angle in degrees."""
+        is_angle = self.machine.legs.units[leg] == "rad"
+        return f"{np.degrees(reading):{form}}°" if is_angle else f"{reading:{form}} m"
+
     def _readings(self, state: Configuration | StageConfiguration) -> str:
-        units = self.machine.legs.units
-        return ", ".join(f"{reading:.6f} {unit}" for reading, unit in zip(state.readings, units, strict=True))
+        return ", ".join(self._reading(reading, leg) for leg, reading in enumerate(state.readings))
 
     def _whose(self) -> list[str]:
         """Return a text on the behaviour at the readings of the singular configuration, and on remedies."""

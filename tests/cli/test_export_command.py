@@ -109,13 +109,12 @@ def test_what_does_not_go_with_a_stage(tmp_path: Path) -> None:
     file = tmp_path / "stage.yaml"
     spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11)).to_yaml(file)
     for arguments, message in (
-        (["mjcf", "--ball"], "--ball: expected a --stage for it to roll on"),
-        (["sdf", "--stage", file, "--ball"], "--ball: expected no such option with --format sdf"),
-        (["mjcf", "--stage", file, "--machine", file], "--machine: expected no such option with a stage"),
-        (["ros", "--stage", file], "--stage: expected no such option with --format ros"),
-        (["ros2", "--stage", file], "--stage: expected no such option with --format ros"),
-        (["c-stage"], "--stage: expected a stage: its file, or --base, --platform and so on, got none"),
-        (["c-stage", "--base", "80"], "--platform: expected a radius, or --stage with a file"),
+        (["mjcf", "--ball"], "--ball: expected a stage for it to roll on"),
+        (["sdf", "--stage", file, "--ball"], "error: --ball cannot be used with --format sdf"),
+        (["ros", "--stage", file], "--machine: expected a manipulator, for --format ros, got a stage"),
+        (["ros2", "--machine", file], "--machine: expected a manipulator, for --format ros, got a stage"),
+        (["c-stage"], "--machine: expected a stage: its file, or --base, --platform and so on, for --format c-stage"),
+        (["c-stage", "--base", "80"], "--platform: expected a radius, or --machine with a file"),
     ):
         done = run("export", *arguments)
         assert done.returncode == 2

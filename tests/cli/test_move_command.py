@@ -14,14 +14,14 @@ import spm_pin as spm
 from spm_pin.description import actuated_joints
 
 SLIDES = actuated_joints()
-LIMITS = ["--min", "110", "--max", "150", "--unit", "cm"]
+LIMITS = ["--limits", "110", "150", "--unit", "cm"]
 
 
 def test_limits_that_are_proved_are_exit_code_0_others_1() -> None:
     done = run("certify", *LIMITS)
     assert done.returncode == 0, done.stderr
     assert "Proved: no configuration joined to the home" in done.stdout
-    assert run("certify", "--min", "0.5", "--max", "1.9", "--boxes", "2000").returncode == 1
+    assert run("certify", "--limits", "0.5", "1.9", "--boxes", "2000").returncode == 1
 
 
 def test_errors_of_the_machine_are_in_the_unit_and_in_radians() -> None:

@@ -10,7 +10,7 @@ from cli.running import run
 
 PLACE = "--translation 68.89 49.63 225.3"
 POSE = f"{PLACE} --xyx -11.08 32.97 -12.88"
-LIMITS = "--min 110 --max 150 --unit cm"
+LIMITS = "--limits 110 150 --unit cm"
 START, GOAL = "120 120 140 125 120 150", "140 120 120 120 150 125"
 ENDS = f"--from {START} --to {GOAL} --unit cm"
 EQUAL_LEGS = "--legs 1.3 1.3 1.3 1.3 1.3 1.3"
@@ -33,7 +33,7 @@ REFUSED = [
     ("nothing", "No such command"),
     # calibrate, certify, crosscheck
     ("calibrate nope.csv", "error: CSV: nope.csv: expected a readable CSV file"),
-    ("certify --min 1.1", "--min and --max"),
+    ("certify --limits 1.1", "requires 2 arguments"),
     ("certify --length-error -1", "--length-error"),
     ("certify --angle-error 1", "--angle-error"),
     (f"certify {LIMITS} --inverse --angle-error 1e-4", "--inverse"),
@@ -44,7 +44,7 @@ REFUSED = [
     # draw
     ("draw --out x.jpg", "ending in .png, .svg, .pdf"),
     ("draw --out x.png --rpy 1 2 3", "error: --translation: expected a position"),
-    ("draw --out x.png --all --branch TT+", "both --all and --branch"),
+    ("draw --out x.png --all --branch TT+", "error: --all cannot be used with --branch"),
     ("draw --out x.png --branch ZZ", "real branches, here TT+"),
     ("draw --out /dev/null/x.png --width 100 --no-names", "a file that can be written"),
     ("draw --out x.png --width 3", "at least 100 pixels"),
@@ -66,9 +66,9 @@ REFUSED = [
         "FORMAT: expected one of urdf, mjcf, sdf, extended-urdf, srdf, c, c-stage, linuxcnc, ros, ros2, got two",
     ),
     ("export --format collada", "collada"),
-    ("export --format mjcf --ros-constraints", "--ros-constraints: expected no such option with --format mjcf"),
-    ("export --format urdf --anchors sites", "--anchors: expected no such option with --format urdf"),
-    ("export --format mjcf --loops drake", "--loops: expected no such option with --format mjcf"),
+    ("export --format mjcf --ros-constraints", "error: --ros-constraints cannot be used with --format mjcf"),
+    ("export --format urdf --anchors sites", "error: --anchors cannot be used with --format urdf"),
+    ("export --format mjcf --loops drake", "error: --loops cannot be used with --format mjcf"),
     ("export --format mjcf --prefix '1 2'", "--prefix: expected a name"),
     ("export c", "--out: expected the directory to write into"),
     ("export c --out ''", "got an empty name"),
@@ -120,7 +120,7 @@ REFUSED = [
     ("view --path nope.csv", "error: --path: nope.csv: expected a readable CSV file in UTF-8, got No such file"),
     ("view --path path.md", "error: --path: expected a file name ending in .csv"),
     ("view --path a.csv --unit cm", "error: --unit: expected m beside --path, whose columns are in m"),
-    (f"view --path a.csv --no-demo --branch TT+ {POSE}", "got --translation, --branch"),
+    (f"view --path a.csv --no-demo --branch TT+ {POSE}", "error: --path cannot be used with --translation, --branch"),
     ("view --no-open --host 203.0.113.7", "host: expected an address of this machine"),
     ("view --no-open --host 'no such host'", "host: expected an address of this machine"),
     ("view --no-open --port 70000", "port: expected a port from 0 to 65535"),

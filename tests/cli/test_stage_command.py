@@ -19,27 +19,25 @@ STAGE = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11))
 def test_readings_of_a_tilt_and_the_way_back() -> None:
     done = run("stage", "inverse", *SIZES, "--height", "120", "--roll", "8", "--pitch", "-5", "--json")
     content = json.loads(done.stdout)
-    expected = spm.inverse_physical(STAGE, 0.12, roll=np.radians(8), pitch=np.radians(-5))
-    (mode,) = content["modes"]
+    expected = spm.stages.inverse_physical(STAGE, 0.12, roll=np.radians(8), pitch=np.radians(-5))
+    (mode,) = content["branches"]
     assert (
         "for a tilt of 9.43° towards"
         in run("stage", "inverse", *SIZES, "--height", "120", "--roll", "8", "--pitch", "-5").stdout
     )
-    assert content["readings"] == "degrees"
+    assert content["reading_units"] == ["deg"] * 3
     np.testing.assert_allclose(mode["readings"], np.degrees(expected.readings), atol=1e-9)
     np.testing.assert_allclose(mode["shift"], 1e3 * expected.shift, atol=1e-9)
     back = run("stage", "forward", *SIZES, "--readings", *map(str, mode["readings"]), "--json")
     (state,) = json.loads(back.stdout)["modes"]
     np.testing.assert_allclose([state["roll"], state["pitch"], state["height"]], [8.0, -5.0, 120.0], atol=1e-9)
     wound = run("stage", "inverse", *SIZES, "--height", "120", "--roll", "-352", "--pitch", "355", "--json")
-    np.testing.assert_allclose(json.loads(wound.stdout)["modes"][0]["readings"], mode["readings"], atol=1e-9)
+    np.testing.assert_allclose(json.loads(wound.stdout)["branches"][0]["readings"], mode["readings"], atol=1e-9)
     every = run("stage", "forward", *SIZES, "--readings", *map(str, mode["readings"]), "--all").stdout
     assert "T2+" in every
-    assert (
-        f"Tilt and height of the platform on RRS legs at {', '.join(f'{x:.3f}' for x in mode['readings'])} °" in every
-    )
+    assert f"Tilt and height of the platform at {', '.join(f'{x:.3f}' for x in mode['readings'])} degrees" in every
     done = run("stage", "forward", *SIZES, "--readings", "0", "0", "400")
-    assert "--readings: expected angles of cranks in degrees, of at most one turn, got 400" in done.message
+    assert "--legs: expected angles of cranks in degrees, of at most one turn, got 400" in done.message
     assert every.count("physical") == 1
 
 
@@ -59,7 +57,7 @@ def test_what_is_not_reached_has_the_nearest_tilt() -> None:
     assert "* r_3 beyond the limits" in out
     nearest = run("stage", "inverse", *SIZES[:8], *limits, *out.splitlines()[-1].split(), "--json")
     assert nearest.returncode == 0
-    assert max(json.loads(nearest.stdout)["modes"][0]["readings"]) == pytest.approx(40.0, abs=0.01)
+    assert max(json.loads(nearest.stdout)["branches"][0]["readings"]) == pytest.approx(40.0, abs=0.01)
 
 
 @pytest.mark.parametrize("wanted", [("0", "0"), ("10", "80"), ("25", "60"), ("40", "30")])
@@ -111,8 +109,8 @@ def test_a_file_a_reach_and_pictures(tmp_path: Path) -> None:
     ("options", "message"),
     [
         (SIZES[:6] + SIZES[8:], "--rod: expected the length of the rods together with --crank"),
-        (SIZES[:2], "--platform: expected a radius, or --stage with a file"),
-        ([*SIZES, "--slide", "90"], "--slide: expected no such option with --crank"),
+        (SIZES[:2], "--platform: expected a radius, or --machine with a file"),
+        ([*SIZES, "--slide", "90"], "error: --slide cannot be used with --crank"),
         ([*SIZES, "--sign", "0"], "--sign: expected +1 or -1, the working mode"),
         ([*SIZES, "--limits", "70", "-30"], "--limits: expected minimum < maximum"),
         ([*SIZES, "--azimuth", "10"], "--tilt: expected a tilt together with --azimuth"),
@@ -134,8 +132,8 @@ def test_a_file_a_reach_and_pictures(tmp_path: Path) -> None:
             "--tilt: expected an angle in degrees, from 0 to less than 180, got -10. For a tilt to the",
         ),
         ([*SIZES, "--roll", "800"], "--roll: expected an angle in degrees, of at most one turn, got 800"),
-        ([*SIZES, "--stage", "no.yaml"], "--stage: expected a file alone"),
-        (["--stage", "no.yaml"], "--stage"),
+        ([*SIZES, "--stage", "no.yaml"], "error: --machine cannot be used with --base, --platform, --crank, --rod"),
+        (["--stage", "no.yaml"], "--machine"),
     ],
 )
 def test_what_is_wrong_is_named_as_it_was_typed(options: list[str], message: str) -> None:
@@ -174,8 +172,8 @@ def test_a_tilt_towards_x_of_a_picture_and_of_readings(place: list[str], tmp_pat
     home = spm.workspace.home_height(STAGE)
     title = f"tilt 10.0° towards 0°, height {1e3 * home:.1f} mm"
     assert title in (tmp_path / "stage.svg").read_text(encoding="utf-8")
-    (mode,) = json.loads(run("stage", "inverse", *SIZES, *place, "--json").stdout)["modes"]
-    expected = spm.inverse_physical(STAGE, home, tilt=np.radians(10.0), azimuth=0.0)
+    (mode,) = json.loads(run("stage", "inverse", *SIZES, *place, "--json").stdout)["branches"]
+    expected = spm.stages.inverse_physical(STAGE, home, tilt=np.radians(10.0), azimuth=0.0)
     np.testing.assert_allclose(mode["readings"], np.degrees(expected.readings), atol=1e-9)
 
 
@@ -191,7 +189,7 @@ def test_a_picture_of_what_is_not_reached_is_refused_with_the_nearest(command: l
     done = run("stage", command[0], *SIZES, "--tilt", "80", *command[1:])
     assert done.returncode == 2
     assert "--height, --tilt: expected a height and a tilt that the stage reaches" in done.message
-    assert "the ball is out of" in done.message
+    assert "The ball is out of" in done.message
     nearest = done.message.rpartition("The nearest: ")[2]
     assert run("stage", "inverse", *SIZES[:8], *nearest.split()).returncode == 0
 
@@ -199,7 +197,7 @@ def test_a_picture_of_what_is_not_reached_is_refused_with_the_nearest(command: l
 def test_readings_typed_in_metres_are_named_where_they_were_read_in_millimetres() -> None:
     done = run("stage", "forward", "--base", "120", "--platform", "115", "--unit", "mm", "--readings", *["0.125"] * 3)
     assert done.returncode == 3
-    assert "--readings was read in mm: 0.125 mm, on a machine of 235 mm. In m it would be" in done.stdout
+    assert "--legs was read in mm: 0.125 mm, on a machine of 235 mm. In m it would be" in done.stdout
 
 
 def test_limits_of_a_stage_are_proved(tmp_path: Path) -> None:

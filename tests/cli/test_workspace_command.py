@@ -152,10 +152,10 @@ def test_a_grid_of_poses_is_that_of_python(tmp_path: Path) -> None:
 
 
 def test_lengths_in_the_wrong_unit_are_noticed(tmp_path: Path) -> None:
-    poses = ["--x", 37, "--y", -16, "--z", "250:251:2", "--xyx", 1, 17, 6, "--limits", 110, 150]
-    done = run("sweep", *poses, "--out", tmp_path / "map", "--workers", 1)
+    poses = ["--x", 37, "--y", -16, "--z", "250:251:2", "--xyx", 1, 17, 6]
+    assert "--x, --y, --z was read in m: 251 m" in output(*poses, "--out", tmp_path / "map", "--workers", 1)
+    done = run("sweep", *poses, "--limits", 110, 150, "--out", tmp_path / "limited", "--workers", 1)
     assert done.returncode == 2
-    assert "--x, --y, --z was read in m: 251 m" in done.stderr
     assert "--limits was read in m: 150 m" in done.stderr
     assert "--unit cm" in done.stderr
     assert "--unit" not in output(*POSES, "--out", tmp_path / "right", "--workers", 1)

@@ -148,3 +148,8 @@ def test_the_place_of_an_error_is_in_its_fields() -> None:
     whole = spm.PoseError("", "a table", "none", "Empty?", file="motion.csv")
     assert str(whole) == "motion.csv: expected a table, got none. Empty?"
     assert type(whole.replaced(cause="")) is spm.PoseError
+
+
+def test_the_number_of_a_leg_singularity_is_named_after_what_it_is() -> None:
+    assert "slope κ of the leg 1.0e-17" in str(spm.SingularConfigurationError("leg", 1e-17))
+    assert "smallest singular value 1.0e-17" in str(spm.SingularConfigurationError("forward", 1e-17))

@@ -1,0 +1,317 @@
+"""`spm-pin inverse`, `nearest`, `forward`, `singularities` and `statics`: states of one pose or of readings.
+
+Each makes one record per state, which is the JSON content, and a table of columns of these records.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from operator import itemgetter
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from spm_pin.cli import outputs, requests
+from spm_pin.cli.options import LEGS_NAMES, OF_MANIPULATOR, Branches, Legs, LegsOption, Readings
+from spm_pin.cli.outputs import Report, Table
+from spm_pin.cli.requests import Record, Request, Triple, request_of
+from spm_pin.cli.units import MachineInUnits
+from spm_pin.display.writing import fixed
+from spm_pin.errors import ArgumentError, SingularConfigurationError
+from spm_pin.kinematics.forward_displacement import forward_displacement, forward_physical
+from spm_pin.kinematics.rates_and_forces import leg_forces, leg_rates
+from spm_pin.kinematics.singularity_analysis import determinants
+from spm_pin.kinematics.singularity_analysis import singularities as analyse
+from spm_pin.kinematics.singularity_kinds import SingularityKind
+from spm_pin.machine import Configuration, Stage, Status
+
+_ZERO = (0.0, 0.0, 0.0)
+_ORIENTATIONS = {
+    "xyx": ("X-Y-X in degrees", ("alpha", "beta", "lambda"), 3),
+    "rpy": ("roll, pitch, yaw in degrees", ("roll", "pitch", "yaw"), 3),
+    "quat": ("unit quaternion", ("qx", "qy", "qz", "qw"), 6),
+}
+"""Orientations that `forward` prints: meaning, columns, and decimals."""
+
+
+def inverse(pose: Request, typed: MachineInUnits) -> Report:
+    """Find every configuration with a given pose of the platform; for a stage, with a tilt and a height.
+
+    The paper's Example: spm-pin inverse --translation 68.89 49.63 225.3 --xyx -11.08 32.97 -12.88 --unit cm
+
+    Example: spm-pin stage inverse --base 80 --platform 90 --crank 50 --rod 110 --unit mm --height 120 --roll 8
+
+    If no physical configuration is within the limits, the nearest pose that is reached is printed. The exit code is 3
+    if there is no real configuration, 5 if none is physical and within the leg limits.
+    """
+    solutions = pose.solve()
+    labels = requests.selected_labels(solutions, None)
+    records = requests.state_records(solutions, labels, lambda state: _record(state, typed))
+    physical = solutions.physical()
+    code = requests.exit_code(solutions.status, physical)
+    reached = pose.nearest() if code in (3, 5) else None
+    content = requests.solutions_content(solutions, typed)
+    if hasattr(solutions, "discriminants"):
+        content["discriminants"] = solutions.discriminants
+    content |= {"branches": records, "nearest": _nearest_record(reached, typed)}
+    columns: dict[str, Any] = {pose.solution: itemgetter("label"), **typed.columns()}
+    columns |= _parasitic(typed) if isinstance(typed.machine, Stage) else {}
+    columns[""] = lambda row: "physical" * row["physical"]
+    title = f"Real branches: readings in {typed.heading}"
+    if isinstance(typed.machine, Stage) and records:
+        height, tilt, azimuth = (records[0][name] for name in ("height", "tilt", "azimuth"))
+        tilted = f"for a tilt of {fixed(tilt, 2)}° towards {fixed(azimuth, 2)}°, and its parasitic motion"
+        title = f"Readings in {typed.heading} at {typed.unit.text(height)} {typed.unit} {tilted}"
+    lines = [requests.status_line(solutions, pose.solution, typed), *pose.remarks(solutions)]
+    lines += [*requests.state_remarks(records, physical, pose.solution), *_nearest_lines(reached, typed)]
+    return Report(content, [Table(title, columns, records, left=[""]), *lines], code)
+
+
+def _record(state: Any, typed: MachineInUnits) -> Record:
+    """Return the numbers of a state: its pose, readings and residual."""
+    residual = {"residual": state.closure_residual * typed.unit.per_metre}
+    return {"readings": state.readings * typed.scale, **request_of(typed.machine).content(state, typed), **residual}
+
+
+def _parasitic(typed: MachineInUnits) -> Record:
+    """Return the columns of a stage's parasitic motion."""
+    shifts = {
+        f"shift {axis} [{typed.unit}]": lambda row, k=k: typed.unit.text(row["shift"][k]) for k, axis in enumerate("xy")
+    }
+    return {**shifts, "torsion [°]": lambda row: fixed(row["torsion"], 3)}
+
+
+def nearest(pose: Request, typed: MachineInUnits) -> Report:
+    """Find the reachable pose nearest to a given one, within the leg limits and in the physical mode.
+
+    Example: spm-pin nearest --translation 0.1 0 2.4 --rpy 5 0 0
+
+    Example: spm-pin stage nearest --base 80 --platform 90 --crank 50 --rod 110 --limits -35 70 --unit mm --tilt 40
+
+    The distance is the root mean square displacement of the platform's three joints c_1, c_2, c_3: zero where the pose
+    itself can be reached. For a stage it is the difference of the heights, and the tilt is the nearest at this height.
+    """
+    reached = pose.nearest()
+    if reached is None:
+        raise ArgumentError("--machine", "a machine with leg limits", "none", "Its file has them as leg_limits")
+    record = _nearest_record(reached, typed)
+    assert record is not None
+    readings = {
+        name: lambda row, leg=leg: typed.text(row["readings"][leg], leg) for leg, name in enumerate(typed.names)
+    }
+    _, options, distance = reached
+    lines = [f"distance: {typed.unit.text(distance, 1)} {typed.unit}", f"pose: {options}", pose.hint()]
+    table = Table(f"Readings in {typed.heading}", readings, [record])
+    return Report({**typed.content(), **record}, [table, *filter(None, lines)])
+
+
+def _nearest_record(reached: tuple[Any, str, float] | None, typed: MachineInUnits) -> Record | None:
+    return None if reached is None else {**_record(reached[0], typed), "distance": reached[2], "options": reached[1]}
+
+
+def _nearest_lines(reached: tuple[Any, str, float] | None, typed: MachineInUnits) -> list[str]:
+    """Return lines on the nearest pose, if any, with the options to enter it."""
+    if reached is None:
+        return []
+    _, options, distance = reached
+    away = "The nearest tilt that is reached:"
+    if not isinstance(typed.machine, Stage):
+        away = f"The nearest pose within the limits is {typed.unit.text(distance, 1)} {typed.unit} away:"
+    return [away, f"  {options}"]
+
+
+def forward(
+    legs: Annotated[Legs, LegsOption(LEGS_NAMES, "Readings of the legs")],
+    typed: MachineInUnits,
+    every: Annotated[bool, typer.Option("--all", help="Show every assembly mode, not only the physical one.")] = False,
+    xyx: Annotated[
+        bool, typer.Option("--xyx", help="Print the paper's X-Y-X angles in degrees (default)."), OF_MANIPULATOR
+    ] = False,
+    rpy: Annotated[
+        bool, typer.Option("--rpy", help="Print roll, pitch and yaw in degrees, as in URDF."), OF_MANIPULATOR
+    ] = False,
+    quat: Annotated[
+        bool, typer.Option("--quat", help="Print the unit quaternion, scalar last."), OF_MANIPULATOR
+    ] = False,
+) -> Report:
+    """Find the pose of the platform from the readings of the legs, lengths or angles.
+
+    The paper's Example: spm-pin forward --legs 120 120 140 125 120 150 --unit cm
+
+    Example: spm-pin stage forward --base 80 --platform 90 --crank 50 --rod 110 --unit mm --legs 20 33 6
+
+    The exit code is 3 if the legs cannot be assembled, 5 if a leg is beyond its limits.
+    """
+    chosen = [name for name, wanted in (("xyx", xyx), ("rpy", rpy), ("quat", quat)) if wanted] or ["xyx"]
+    if len(chosen) > 1:
+        raise ArgumentError(" and ".join(f"--{name}" for name in chosen), "one orientation", f"{len(chosen)} of them")
+    machine: Any = typed.machine
+    physical, modes = forward_physical(machine, legs), forward_displacement(machine, legs)
+    home = modes.labels[int(modes.is_physical.argmax())] if physical.exists else ""
+    labels = requests.selected_labels(modes, None) if every else [home] * bool(home)
+    records = requests.state_records(modes, labels, lambda state: _record(state, typed))
+    if not every and records:
+        # By another way to the same configuration, with as many digits as a pose has.
+        records[0] |= _record(physical, typed)
+    # One digit more where there is room for it in 80 columns.
+    finer = int(len(records) == 1)
+    columns: Record = {"mode": itemgetter("label")}
+    if isinstance(machine, Stage):
+        angles = {f"{x} [°]": lambda row, x=x: fixed(row[x], 3) for x in ("tilt", "azimuth", "roll", "pitch")}
+        columns |= {**angles, f"height [{typed.unit}]": lambda row: typed.unit.text(row["height"]), **_parasitic(typed)}
+        read = ", ".join(typed.text(x, leg) for leg, x in enumerate(legs * typed.scale))
+        title = f"Tilt and height of the platform at {read} {typed.heading}"
+    else:
+        (name,) = chosen
+        columns |= {x: lambda row, k=k: typed.unit.text(row["translation"][k], finer) for k, x in enumerate("XYZ")}
+        orientation, headings, decimals = _ORIENTATIONS[name]
+        columns |= {x: lambda row, k=k: fixed(row[name][k], decimals + finer) for k, x in enumerate(headings)}
+        title = f"{'Assembly modes' if every else 'The physical configuration'}: o in {typed.unit}, {orientation}"
+    columns[""] = requests.state_mark
+    lines = [requests.status_line(modes, "assembly mode", typed)]
+    if modes.status is Status.DEGENERATE:
+        lines += ["With these legs locked the platform can still move.", *requests.family_remarks(modes)]
+    if modes.status is Status.UNREACHABLE:
+        lines += requests.readings_remarks(typed, legs)
+    else:
+        lines += requests.state_remarks(records, physical, "mode")
+    content = requests.solutions_content(modes, typed) | {"count": modes.count, "modes": records}
+    code = requests.exit_code(modes.status, physical)
+    return Report(content, [Table(title, columns, records, left=[""]), *lines], code)
+
+
+def singularities(
+    typed: MachineInUnits, pose: Request | None = None, legs: Readings = None, branch: Branches = None
+) -> Report:
+    """Compute how close each branch of a pose, or the state of given readings, is to a singularity.
+
+    Determinants and distances, the smallest singular values, are dimensionless and zero at a singularity, whose kind is
+    named: forward for J_b and J_c, the lower and the upper stage, inverse for K. For a stage they are those of the
+    forward and of the inverse problem; κ is the least slope of a leg over its largest.
+
+    The exit code is 5 if no physical branch is within the leg limits.
+    """
+
+    def table(records: list[Record]) -> list[Table]:
+        numbers = {
+            f"{symbol} {key}": lambda row, name=name, key=key: outputs.significant(row[name][key], 1.0, 4)
+            for symbol, name in (("det", "scaled_determinants"), ("σ", "distance"), ("κ", "slope"))
+            for key in records[0].get(name, {})
+        }
+        columns: dict[str, Any] = {"branch": itemgetter("label"), **numbers, "": _kind_and_mark}
+        title = "Determinant over d³ and smallest singular value: J_b, J_c (forward), K (inverse)"
+        if isinstance(typed.machine, Stage):
+            title = "Determinants, smallest singular values and least slope of a leg"
+        return [Table(title, columns, records, left=[""])]
+
+    return _of_branches(typed, pose, legs, branch, _singularity, table)
+
+
+def _singularity(state: Any) -> Record:
+    analysis: Any = analyse(state)
+    record: Record = {"kind": str(SingularityKind(int(analysis.kind))), "gained_twist": analysis.gained_twist}
+    if isinstance(state, Configuration):
+        sizes = {"scaled_determinants": analysis.scaled_determinants, "distance": analysis.sigma}
+        sizes["condition"] = analysis.condition
+        record |= {name: dict(zip(("J_b", "J_c", "K"), x.tolist(), strict=True)) for name, x in sizes.items()}
+        return record | {name: getattr(analysis, name) for name in ("mobility", "lost_wrench")}
+    sizes = {"scaled_determinants": determinants(state), "distance": analysis.sigma}
+    record |= {name: dict(zip(("forward", "inverse"), x.tolist(), strict=True)) for name, x in sizes.items()}
+    return record | {"slope": {"leg": float(analysis.leg.min())}}
+
+
+def _kind_and_mark(record: Record) -> str:
+    kind = record["kind"] if record["kind"] != "regular" else ""
+    return ", ".join(filter(None, [kind, requests.state_mark(record)]))
+
+
+def _of_branches(
+    typed: MachineInUnits,
+    pose: Request | None,
+    legs: Any,
+    branch: list[str] | None,
+    compute: Callable[[Any], Record],
+    tables: Callable[[list[Record]], list[Table]],
+) -> Report:
+    """Return a report of each branch of a pose, or of the state of readings; out of reach, of the nearest pose."""
+    solutions, remarks = requests.solve_request(typed, pose, legs)
+    records = requests.state_records(solutions, requests.selected_labels(solutions, branch), compute)
+    physical = solutions.physical()
+    code = requests.exit_code(solutions.status, physical)
+    lines = requests.state_remarks(records, physical, "branch")
+    if not solutions.count:
+        lines += [f"status: {solutions.status}, no real branch", *remarks]
+    if pose is not None and code in (3, 5):
+        lines += _nearest_lines(pose.nearest(), typed)
+    by_label = {record["label"]: record for record in records}
+    content = {**typed.content(), "status": str(solutions.status), "branches": by_label}
+    return Report(content, [*(tables(records) if records else []), *lines], code)
+
+
+def _vector(help_text: str) -> Any:
+    return typer.Option(metavar="X Y Z", help=help_text)
+
+
+def statics(
+    typed: MachineInUnits,
+    pose: Request | None = None,
+    legs: Readings = None,
+    force: Annotated[Triple, _vector("Force onto m at o, in {B}, in newtons.")] = _ZERO,
+    moment: Annotated[Triple, _vector("Moment onto m, in {B}, in newton metres.")] = _ZERO,
+    velocity: Annotated[Triple, _vector("Velocity of o in {B}, in --unit per second; for a stage along Z.")] = _ZERO,
+    angular_velocity: Annotated[
+        Triple, _vector("Angular velocity of m in {B}, in degrees per second; for a stage about X and Y.")
+    ] = _ZERO,
+    branch: Branches = None,
+) -> Report:
+    """Compute the efforts of the actuators that balance a wrench on the platform, and the leg rates for its twist.
+
+    Example: spm-pin statics --legs 1.2 1.2 1.4 1.25 1.2 1.5 --force 0 0 -500
+
+    Example: spm-pin stage statics --base 80 --platform 90 --crank 50 --rod 110 --unit mm --tilt 10 --force 0 0 -5
+
+    Efforts are forces in N, or for cranks torques in N m; a positive one increases the reading: a cylinder pushes. At
+    an inverse singularity the efforts exist, but the rates do not.
+
+    The exit code is 5 if no physical branch is within the leg limits.
+    """
+    wrench = np.array([*force, *moment])
+    twist = np.concatenate([np.array(velocity) / typed.unit.per_metre, np.deg2rad(angular_velocity)])
+    if not (wrench.any() or twist.any()):
+        raise ArgumentError("--force", "a wrench or a twist that is not zero", "neither", "Nothing to hold or move")
+    if isinstance(typed.machine, Stage):
+        if twist[[0, 1, 5]].any():
+            expected = "a velocity along Z and turns about X and Y: those of a stage"
+            raise ArgumentError("--velocity, --angular-velocity", expected, "others", "Shift and torsion follow")
+        twist = twist[2:5]
+
+    def loads(state: Any) -> Record:
+        record: Record = {"forces": None, "rates": None, "singular": []}
+        for name, solve, vector in (("forces", leg_forces, wrench), ("rates", leg_rates, twist)):
+            try:
+                record[name] = solve(state, vector) * (1.0 if name == "forces" else typed.scale)
+            except SingularConfigurationError as error:
+                record["singular"].append(error.kind)
+        return record
+
+    def tables(records: list[Record]) -> list[Table]:
+        efforts = f"Efforts in {typed.stages('N', 'N m')}: positive increases the reading"
+        rates = f"Rates of the readings per second, in {typed.heading}"
+        shown = {"forces": efforts} if wrench.any() else {}
+        shown |= {"rates": rates} if twist.any() else {}
+        return [_load_table(title, typed.names, records, name) for name, title in shown.items()]
+
+    return _of_branches(typed, pose, legs, branch, loads, tables)
+
+
+def _load_table(title: str, names: tuple[str, ...], records: list[Record], quantity: str) -> Table:
+    def branch(record: Record) -> str:
+        label = str(record["label"])
+        return label if record[quantity] is not None else f"{label}: {record['singular'][0]} singularity"
+
+    def value(leg: int, values: Any) -> str:
+        return "" if values is None else outputs.significant(values[leg], np.abs(values).max())
+
+    columns = {name: lambda row, leg=leg: value(leg, row[quantity]) for leg, name in enumerate(names)}
+    return Table(title, {"branch": branch, **columns, "": requests.state_mark}, records, left=[""])
