@@ -283,7 +283,7 @@ class ClosedChain:
         from spm_pin.loops import tree_kernel
 
         problem = Problem(self.rows, np.arange(self.model.nv), self.actuated_in_q, self.actuated_in_v)
-        return tree_kernel.boxed(tree_kernel.tree_of(problem, self._held_in_v))
+        return tree_kernel.PlainTree(tree_kernel.tree_of(problem, self._held_in_v))
 
     def state(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> LoopState:
         """Return the `LoopState` at joint values q (..., nq) and velocities v (..., nv), zero by default."""

@@ -222,7 +222,7 @@ class Follower:
     def _tree(self, kernel: Any) -> Any:
         """Return the problem of this thread as arrays."""
         if not hasattr(self._local, "tree"):
-            self._local.tree = kernel.boxed(kernel.tree_of(self._problem))
+            self._local.tree = kernel.PlainTree(kernel.tree_of(self._problem))
         return self._local.tree
 
     def explained(

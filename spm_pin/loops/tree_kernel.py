@@ -18,7 +18,18 @@ import numba
 import numpy as np
 import pinocchio as pin
 from numba.core import event, types
-from numba.extending import intrinsic, register_jitable
+from numba.core.typing.templates import AttributeTemplate
+from numba.extending import (
+    NativeValue,
+    infer_getattr,
+    lower_getattr_generic,
+    models,
+    register_jitable,
+    register_model,
+    typeof_impl,
+    unbox,
+)
+from numba.np.arrayobj import populate_array
 
 from spm_pin.loops import continuation
 from spm_pin.loops.constraint_rows import FORMS
@@ -152,32 +163,70 @@ def tree_of(problem: Any, held: IntArray | tuple[()] = ()) -> Tree:
     )
 
 
-def boxed(tree: Tree) -> Any:
-    """Return a tree in a list of Numba's, which a call takes as one argument: the arrays one by one take 30 µs."""
-    trees = numba.typed.List()
-    trees.append(tree)
-    return trees
+class PlainTree:
+    """A `Tree` for compiled functions: a table of pointers and shapes, which an argument costs nothing to pass.
 
-
-def _borrow(typing, tree):  # type: ignore[no-untyped-def]
-    """Return a tree whose arrays are not counted as references; counting takes most of the time of a short function.
-
-    The caller of the kernel holds the arrays until it returns.
+    Numba passes a tuple array by array, each counted as a reference wherever a function is called.
     """
 
-    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-        (result,) = arguments
-        for k, kind in enumerate(tree.types):
-            if isinstance(kind, types.Array):
-                array = context.make_array(kind)(context, builder, builder.extract_value(result, k))
-                array.meminfo = array.meminfo.type(None)
-                result = builder.insert_value(result, array._getvalue(), k)
+    def __init__(self, tree: Tree) -> None:
+        self.tree = tree
+        rows = [(x.ctypes.data, *x.shape, 0)[:3] if isinstance(x, np.ndarray) else (x, 0, 0) for x in tree]
+        self._table = np.array(rows)
+        self.address = self._table.ctypes.data
+
+
+class _PlainType(types.Type):
+    def __init__(self, fields: Any) -> None:
+        self.fields = fields
+        super().__init__(f"PlainTree({fields})")
+
+
+register_model(_PlainType)(models.OpaqueModel)
+
+
+@typeof_impl.register(PlainTree)
+def _type_of(value, _):  # type: ignore[no-untyped-def]
+    return _PlainType(numba.typeof(value.tree))
+
+
+@unbox(_PlainType)
+def _unbox(_, value, c):  # type: ignore[no-untyped-def]
+    number = c.pyapi.object_getattr_string(value, "address")
+    pointer = c.pyapi.long_as_voidptr(number)
+    c.pyapi.decref(number)
+    return NativeValue(pointer)
+
+
+@infer_getattr
+class _Fields(AttributeTemplate):  # type: ignore[misc]
+    key = _PlainType
+
+    def generic_resolve(self, kind, name):  # type: ignore[no-untyped-def]
+        """Return the type of a field."""
+        return kind.fields[Tree._fields.index(name)]
+
+
+@lower_getattr_generic(_PlainType)
+def _load(context, builder, kind, tree, name):  # type: ignore[no-untyped-def]
+    place = Tree._fields.index(name)
+    field, integer = kind.fields[place], context.get_value_type(types.intp)
+    table = builder.bitcast(tree, integer.as_pointer())
+
+    def number(k):  # type: ignore[no-untyped-def]
+        result = builder.load(builder.gep(table, [integer(3 * place + k)]))
+        # The table never changes, so that a loop may keep what is read before it.
+        result.set_metadata("invariant.load", builder.module.add_metadata([]))
         return result
 
-    return tree(tree), generate
-
-
-borrowed: Any = intrinsic(_borrow)
+    if not isinstance(field, types.Array):
+        return number(0)
+    array, item = context.make_array(field)(context, builder), field.dtype.bitwidth // 8
+    shape = [number(1 + k) for k in range(field.ndim)]
+    strides = [integer(item)] if field.ndim == 1 else [builder.mul(shape[1], integer(item)), integer(item)]
+    data = builder.inttoptr(number(0), array.data.type)
+    populate_array(array, data, shape, strides, integer(item), meminfo=None)
+    return array._getvalue()
 
 
 @inlined
@@ -625,9 +674,8 @@ def _aim(tree, q, target):  # type: ignore[no-untyped-def]
 _follow, _go_on = continuation.make_follower(_residual, _linearised, _moved, _left_inverse, _matrix_times, jit)
 
 
-def _run(trees, starts, targets, is_path, results):  # type: ignore[no-untyped-def]
+def _run(tree, starts, targets, is_path, results):  # type: ignore[no-untyped-def]
     """Write q of all targets; return the number of those reached, and the status, share and steps of the last path."""
-    tree = borrowed(trees[0])
     q, status, done, steps = starts[0], continuation.DONE, 1.0, 0
     jacobian = np.empty((0, 0))
     inverse = jacobian
