@@ -127,7 +127,16 @@ def left_inverse(jacobian: FloatArray) -> tuple[FloatArray, bool]:
     return np.asarray(lapack.dpotrs(factor, jacobian.T)[0]), True
 
 
-follow, _ = make_follower(residual, linearised, moved, left_inverse, np.dot)
+begin, go_on = make_follower(residual, linearised, moved, left_inverse, np.dot)
+
+
+def follow(problem: Problem, q: FloatArray) -> tuple[FloatArray, int, float, int]:
+    """Return q at the end of the path, or as far as it leads, the status, the share of the path, and the steps."""
+    status, jacobian, inverse = begin(problem, q)
+    if status:
+        return q, status, 0.0, 0
+    q, _, _, _, status, done, steps = go_on(problem, q, jacobian, inverse, 0.0)
+    return q, status, done, steps
 
 
 def _kernel() -> Any:

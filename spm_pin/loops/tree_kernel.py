@@ -1,3 +1,4 @@
+# mypy: allow-untyped-calls
 """Paths of any closed chain, compiled once for all: tree, closures and target are arrays.
 
 The functions are those of `following` over Pinocchio, for the same `continuation`. A joint is one of seven kinds, by
@@ -199,10 +200,10 @@ def _unbox(_, value, c):  # type: ignore[no-untyped-def]
 
 
 @infer_getattr
-class _Fields(AttributeTemplate):  # type: ignore[misc]
+class _Fields(AttributeTemplate):
     key = _PlainType
 
-    def generic_resolve(self, kind, name):  # type: ignore[no-untyped-def]
+    def generic_resolve(self, kind, name):  # type: ignore[no-untyped-def, override]
         """Return the type of a field."""
         return kind.fields[Tree._fields.index(name)]
 
@@ -671,28 +672,29 @@ def _aim(tree, q, target):  # type: ignore[no-untyped-def]
     tree.pose_turn[0] = length(tree.turn)
 
 
-_follow, _go_on = continuation.make_follower(_residual, _linearised, _moved, _left_inverse, _matrix_times, jit)
+_begin, _go_on = continuation.make_follower(_residual, _linearised, _moved, _left_inverse, _matrix_times, jit)
 
 
 def _run(tree, starts, targets, is_path, results):  # type: ignore[no-untyped-def]
     """Write q of all targets; return the number of those reached, and the status, share and steps of the last path."""
-    q, status, done, steps = starts[0], continuation.DONE, 1.0, 0
-    jacobian = np.empty((0, 0))
+    q, off, jacobian = starts[0], 0.0, np.empty((0, 0))
     inverse = jacobian
     for k in range(len(targets)):
         if not is_path:
             q = starts[k]
         _aim(tree, q, targets[k])
-        if k > 0 and is_path and tree.pose < 0:
-            q, jacobian, inverse, status, done, steps = _go_on(tree, q, jacobian, inverse)
-        else:
-            q, status, done, steps = _follow(tree, q)
-            if is_path and tree.pose < 0 and status == continuation.DONE:
-                _, jacobian, _, _ = _linearised(tree, q, 1.0)
-                inverse, _ = _left_inverse(jacobian)
+        if k == 0 or tree.pose >= 0 or not (is_path or (q == starts[k - 1]).all()):
+            status, jacobian, inverse = _begin(tree, q)
+            off = 0.0
+            if status != continuation.DONE:
+                results[k] = q
+                return k, status, 0.0, 0
+        q, at_end, new, away, status, done, steps = _go_on(tree, q, jacobian, inverse, off)
         results[k] = q
         if status != continuation.DONE:
             return k, status, done, steps
+        if is_path:
+            jacobian, inverse, off = at_end, new, away
     return len(targets), continuation.DONE, 1.0, 0
 
 
