@@ -268,14 +268,19 @@ class ClosedChain:
     def compile(self) -> None:
         """Compile paths, batches and forward dynamics, once for all robots and sessions: half a minute, later a second.
 
-        Batches of `forward` and `inverse` do so by themselves. A control loop calls this before it starts: its single
-        calls never wait for the compiler, and before compiling take a millisecond instead of some ten microseconds.
+        Batches of `forward` and `inverse`, and large ones of `forward_dynamics`, do so by themselves. A control loop
+        calls this before it starts: its single calls never wait for the compiler, and before compiling take a
+        millisecond instead of some ten microseconds.
         """
+        self._follower(None, ()).compile()
+        self.compile_dynamics()
+
+    def compile_dynamics(self) -> None:
+        """Compile forward dynamics alone."""
         from spm_pin.loops.dynamics_kernel import accelerate
 
-        self._follower(None, ()).compile()
-        q, zeros = self.q0.copy(), np.zeros(self.model.nv)
-        accelerate(self.tree, q, zeros, zeros, -1, -1, zeros.copy())
+        zeros = np.zeros(self.model.nv)
+        accelerate.call(self.tree, self.q0.copy(), zeros, zeros, -1, -1, zeros.copy())
 
     @cached_property
     def tree(self) -> Any:

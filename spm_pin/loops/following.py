@@ -207,7 +207,7 @@ class Follower:
         kernel = _kernel() if len(targets) > FEW else sys.modules.get(f"{__package__}.tree_kernel")
         if kernel is not None and (kernel.run.is_loaded or len(targets) > FEW):
             aims = np.array(targets, order="C").reshape(len(targets), self._width)
-            k, status, done, steps = kernel.run(self._tree(kernel), starts, aims, is_path, results)
+            k, status, done, steps = kernel.run.call(self._tree(kernel), starts, aims, is_path, results)
         else:
             problem, q = self.problem(), starts[0]
             for k, target in enumerate(targets):
@@ -224,7 +224,7 @@ class Follower:
         """Compile the kernel, or load it."""
         empty = np.zeros((0, self._width))
         kernel = _kernel()
-        kernel.run(
+        kernel.run.call(
             self._tree(kernel), np.array(self.chain.q0, ndmin=2), empty, True, np.zeros((0, self.chain.model.nq))
         )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, Self
 
@@ -21,6 +22,9 @@ from spm_pin.loops.state_kinematics import (
     read_vectors,
 )
 from spm_pin.support.arguments import FloatArray
+
+MANY = 5000
+"""Largest batch whose dynamics are computed by Pinocchio and NumPy, in about a second, if the kernel is not loaded."""
 
 
 class Energy(NamedTuple):
@@ -89,8 +93,12 @@ class LoopState(BatchedState):
 
         For a single state and single arguments, the function's own result is returned.
         """
-        if not self._batch and all(array.ndim == 1 for array in arrays.values()):
-            return function(*arrays.values())
+        if not self._batch:
+            for array in arrays.values():
+                if array.ndim != 1:
+                    break
+            else:
+                return function(*arrays.values())
         return self._each_of_batch(function, shape, arrays)
 
     def _each_closed_member(self, function: Callable[..., Result], shape: Any, **arrays: FloatArray) -> Result:
@@ -206,8 +214,8 @@ class LoopState(BatchedState):
         `tau` (..., n) [N, N m] is in the order of the actuators.
         """
 
-        def member(tau: FloatArray, *loads: FloatArray) -> FloatArray:
-            forces = self._forces(tau, frames, loads)
+        def member(*arguments: FloatArray) -> FloatArray:
+            forces = self._forces(arguments[-1], frames, arguments[:-1])
             a = self.kinematics.compiled_accelerations(self._rates, forces)
             if a is None:
                 self._check_closed()
@@ -215,7 +223,10 @@ class LoopState(BatchedState):
             return a
 
         frames, arrays = self._read_wrenches(wrenches)
-        return self._each_member(member, (self._nv,), tau=self._actuator_values(tau, "tau"), **arrays)
+        arrays["tau"] = self._actuator_values(tau, "tau")
+        if max(math.prod(self._batch), math.prod(arrays["tau"].shape[:-1])) > MANY:
+            self._chain.compile_dynamics()
+        return self._each_member(member, (self._nv,), **arrays)
 
     def inverse_dynamics(self, a: npt.ArrayLike, wrenches: Mapping[str, npt.ArrayLike] | None = None) -> FloatArray:
         """Return the forces of the actuators (..., n) [N, N m] for a motion under gravity, inertia and wrenches.

@@ -714,25 +714,21 @@ class _Announcement(event.Listener):
 
 
 class Kernel:
-    """A compiled function, made or loaded from Numba's cache at its first call."""
+    """A function, `call`, that is compiled or loaded from Numba's cache at its first call."""
 
     def __init__(self, function: Callable[..., Any], *modules: str) -> None:
         """`modules` are the files that the function is compiled from."""
         self._function, self._modules, self._lock = function, modules, threading.Lock()
-        self._compiled: Callable[..., Any] | None = None
+        self.is_loaded = False  # whether a call starts at once
+        self.call: Callable[..., Any] = self._first_call
 
-    def __call__(self, *arguments: Any) -> Any:
-        """Call the compiled function."""
-        return (self._compiled or self._compile(arguments))(*arguments)
+    def _first_call(self, *arguments: Any) -> Any:
+        self._compile(arguments)
+        return self.call(*arguments)
 
-    @property
-    def is_loaded(self) -> bool:
-        """Whether a call starts at once."""
-        return self._compiled is not None
-
-    def _compile(self, arguments: tuple[Any, ...]) -> Callable[..., Any]:
+    def _compile(self, arguments: tuple[Any, ...]) -> None:
         with self._lock:
-            if self._compiled is None:
+            if not self.is_loaded:
                 # Numba's cache looks at one file alone: the name that is kept has a digest of all that is compiled.
                 digest = hashlib.sha256(b"".join(Path(module).read_bytes() for module in self._modules)).hexdigest()
                 self._function.__qualname__ = f"{self._function.__name__}_{digest[:16]}"
@@ -745,8 +741,7 @@ class Kernel:
                     _LOG.warning("spm_pin: Numba's cache cannot be used, see NUMBA_CACHE_DIR: %r", error)
                     compiled = numba.njit(signature, error_model="numpy", nogil=True)(self._function)
                 # The function behind the dispatcher, which looks for the types of all arguments in a microsecond.
-                self._compiled = next(iter(compiled.overloads.values())).entry_point
-            return self._compiled
+                self.call, self.is_loaded = next(iter(compiled.overloads.values())).entry_point, True
 
 
 run = Kernel(_run, __file__, str(continuation.__file__))
