@@ -21,10 +21,9 @@ from spm_pin.loops.closures import Closure, JointEquality, RobotDescription
 from spm_pin.loops.constraint_rows import ConstraintRows, LoopKinematics
 from spm_pin.loops.following import Follower, Problem
 from spm_pin.loops.forward_simulation import LoopMotion, simulate
-from spm_pin.loops.links import find_frame
 from spm_pin.loops.loop_state import LoopState
 from spm_pin.loops.mobility import Mobility, mobility
-from spm_pin.loops.state_kinematics import read_vectors
+from spm_pin.loops.state_kinematics import frame_index, read_vectors
 from spm_pin.support.arguments import (
     FloatArray,
     IntArray,
@@ -258,11 +257,7 @@ class ClosedChain:
         chosen = tuple(sorted(set(rows))) if isinstance(rows, Sequence | np.ndarray) else ()
         if not chosen or not set(chosen) <= set(range(6)) or len(chosen) != len(tuple(rows)):
             raise ArgumentError("rows", "different numbers from 0, 1, 2 (position) and 3, 4, 5 (rotation)", repr(rows))
-        if not isinstance(frame, str) or find_frame(self.model, frame) is None:
-            names = [f.name for f in self.model.frames]
-            close = difflib.get_close_matches(str(frame), names, n=3)
-            cause = f"Did you mean {' or '.join(map(repr, close))}?" if close else ""
-            raise ArgumentError("frame", "the name of a frame of the model", repr(frame), cause)
+        frame_index(self.model, frame)
         return self._follow(self._follower(frame, chosen), _matrices(pose), 2, near, "pose")
 
     def compile(self) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -93,12 +94,8 @@ class LoopState(BatchedState):
 
         For a single state and single arguments, the function's own result is returned.
         """
-        if not self._batch:
-            for array in arrays.values():
-                if array.ndim != 1:
-                    break
-            else:
-                return function(*arrays.values())
+        if not self._batch and all(array.ndim == 1 for array in arrays.values()):
+            return function(*arrays.values())
         return self._each_of_batch(function, shape, arrays)
 
     def _each_closed_member(self, function: Callable[..., Result], shape: Any, **arrays: FloatArray) -> Result:
@@ -213,20 +210,21 @@ class LoopState(BatchedState):
 
         `tau` (..., n) [N, N m] is in the order of the actuators.
         """
-
-        def member(*arguments: FloatArray) -> FloatArray:
-            forces = self._forces(arguments[-1], frames, arguments[:-1])
-            a = self.kinematics.compiled_accelerations(self._rates, forces)
-            if a is None:
-                self._check_closed()
-                a = self.kinematics.accelerations(self._rates, forces)
-            return a
-
+        values = self._actuator_values(tau, "tau")
+        if wrenches is None and values.ndim == 1 and not self._batch:
+            return self._accelerations([], values)
         frames, arrays = self._read_wrenches(wrenches)
-        arrays["tau"] = self._actuator_values(tau, "tau")
-        if max(math.prod(self._batch), math.prod(arrays["tau"].shape[:-1])) > MANY:
+        if max(math.prod(self._batch), math.prod(values.shape[:-1])) > MANY:
             self._chain.compile_dynamics()
-        return self._each_member(member, (self._nv,), **arrays)
+        return self._each_member(partial(self._accelerations, frames), (self._nv,), tau=values, **arrays)
+
+    def _accelerations(self, frames: list[int], tau: FloatArray, *loads: FloatArray) -> FloatArray:
+        forces = self._forces(tau, frames, loads)
+        a = self.kinematics.compiled_accelerations(self._rates, forces)
+        if a is None:
+            self._check_closed()
+            a = self.kinematics.accelerations(self._rates, forces)
+        return a
 
     def inverse_dynamics(self, a: npt.ArrayLike, wrenches: Mapping[str, npt.ArrayLike] | None = None) -> FloatArray:
         """Return the forces of the actuators (..., n) [N, N m] for a motion under gravity, inertia and wrenches.

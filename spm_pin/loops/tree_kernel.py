@@ -13,7 +13,8 @@ import math
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from types import SimpleNamespace
+from typing import Any
 
 import numba
 import numpy as np
@@ -47,59 +48,11 @@ inlined: Any = register_jitable(error_model="numpy", forceinline=True)
 """For small functions of small arrays, of which the compiler then keeps the elements in registers."""
 
 
-class Tree(NamedTuple):
-    """A `Problem` as arrays, and the masses of its bodies; the last ones are written by `aim`."""
+def tree_of(problem: Any, held: IntArray | tuple[()] = ()) -> SimpleNamespace:
+    """Return a `following.Problem` as arrays, and the masses of its bodies; `_aim` writes the last ones.
 
-    parents: IntArray
-    kinds: IntArray
-    in_q: IntArray
-    in_v: IntArray
-    rotations: FloatArray
-    places: FloatArray
-    linear: FloatArray
-    angular: FloatArray
-    joints: IntArray
-    carriers: IntArray
-    units: FloatArray
-    ends: IntArray
-    scales: FloatArray
-    first_columns: IntArray
-    loop_columns: IntArray
-    loop_signs: FloatArray
-    forms: IntArray
-    row_units: FloatArray
-    equality_places: IntArray
-    polynomials: FloatArray
-    zeros: FloatArray
-    columns: IntArray
-    unknowns: IntArray
-    driven: IntArray
-    driven_in_v: IntArray
-    pose: int
-    first_rows: IntArray
-    position_counts: IntArray
-    row_counts: IntArray
-    frame_rotation: FloatArray
-    frame_place: FloatArray
-    gravity: FloatArray
-    masses: FloatArray
-    levers: FloatArray
-    inertias: FloatArray
-    armatures: FloatArray
-    held: IntArray
-    end_rotations: FloatArray
-    end_places: FloatArray
-    driven_rates: FloatArray
-    values: FloatArray
-    pose_turn: FloatArray
-    pose_share: FloatArray
-    turn: FloatArray
-    pose_rotations: FloatArray
-    pose_places: FloatArray
-
-
-def tree_of(problem: Any, held: IntArray | tuple[()] = ()) -> Tree:
-    """Return a `following.Problem` as arrays; `held` are velocities that are zero in dynamics."""
+    `held` are velocities that are zero in dynamics.
+    """
     rows, joints, inertias = problem.rows, list(problem.rows.model.joints)[1:], list(problem.rows.model.inertias)[1:]
     linear, angular = rows.screws
     placements = [rows.model.jointPlacements[joint.id] for joint in joints]
@@ -114,73 +67,77 @@ def tree_of(problem: Any, held: IntArray | tuple[()] = ()) -> Tree:
     def stacked(values: Any, *shape: int) -> FloatArray:
         return np.array(values, dtype=np.float64, order="C").reshape(-1, *shape).copy()
 
-    return Tree(
-        whole([rows.model.parents[joint.id] - 1 for joint in joints]),
-        whole([_KINDS.get(joint.shortname().removeprefix("JointModel"), HINGE) for joint in joints]),
-        whole([joint.idx_q for joint in joints]),
-        whole([joint.idx_v for joint in joints]),
-        stacked([placement.rotation for placement in placements], 9),
-        stacked([placement.translation for placement in placements], 3),
-        stacked(linear, 3),
-        stacked(angular, 3),
-        whole(np.repeat(np.arange(len(joints)), [joint.nv for joint in joints])),
-        whole(rows.model.createData().parents_fromRow),
-        stacked(rows.units),
-        whole(rows.joints).reshape(-1, 2) - 1,
-        stacked(0.25 * rows.loop_lengths),
-        whole(problem.first_columns),
-        whole(problem.loop_columns),
-        stacked(np.concatenate([sign[order] for sign, order in zip(rows.signs, orders, strict=True)] or [np.zeros(0)])),
-        whole(rows.forms % FORMS),
-        stacked(rows.row_units),
-        whole(rows.equality_places),
-        np.array(rows.polynomials, order="C"),
-        np.array(rows.zeros, order="C"),
-        whole(problem.columns),
-        whole(unknowns),
-        whole(problem.driven),
-        whole(problem.driven_in_v),
-        problem.pose,
-        whole(problem.first_rows),
-        whole(problem.position_counts),
-        whole(problem.row_counts),
-        stacked(frame.rotation, 9),
-        stacked(frame.translation, 3),
-        stacked(rows.model.gravity.linear, 3),
-        stacked([inertia.mass for inertia in inertias]),
-        stacked([inertia.lever for inertia in inertias], 3),
-        stacked([inertia.inertia for inertia in inertias], 9),
-        stacked(rows.model.armature),
-        whole(held),
-        stacked([end.rotation for ends in rows.placements for end in ends], 9),
-        stacked([end.translation for ends in rows.placements for end in ends], 3),
-        np.zeros(rows.model.nv),
-        np.zeros((2, len(problem.driven))),
-        np.zeros(1),
-        np.zeros(1),
-        np.zeros(3),
-        np.zeros((2, 9)),
-        np.zeros((2, 3)),
+    return SimpleNamespace(
+        parents=whole([rows.model.parents[joint.id] - 1 for joint in joints]),
+        kinds=whole([_KINDS.get(joint.shortname().removeprefix("JointModel"), HINGE) for joint in joints]),
+        in_q=whole([joint.idx_q for joint in joints]),
+        in_v=whole([joint.idx_v for joint in joints]),
+        rotations=stacked([placement.rotation for placement in placements], 9),
+        places=stacked([placement.translation for placement in placements], 3),
+        linear=stacked(linear, 3),
+        angular=stacked(angular, 3),
+        joints=whole(np.repeat(np.arange(len(joints)), [joint.nv for joint in joints])),
+        carriers=whole(rows.model.createData().parents_fromRow),
+        units=stacked(rows.units),
+        ends=whole(rows.joints).reshape(-1, 2) - 1,
+        scales=stacked(0.25 * rows.loop_lengths),
+        first_columns=whole(problem.first_columns),
+        loop_columns=whole(problem.loop_columns),
+        loop_signs=stacked(
+            np.concatenate([sign[order] for sign, order in zip(rows.signs, orders, strict=True)] or [np.zeros(0)])
+        ),
+        forms=whole(rows.forms % FORMS),
+        row_units=stacked(rows.row_units),
+        equality_places=whole(rows.equality_places),
+        polynomials=np.array(rows.polynomials, order="C"),
+        zeros=np.array(rows.zeros, order="C"),
+        columns=whole(problem.columns),
+        unknowns=whole(unknowns),
+        driven=whole(problem.driven),
+        driven_in_v=whole(problem.driven_in_v),
+        pose=problem.pose,
+        first_rows=whole(problem.first_rows),
+        position_counts=whole(problem.position_counts),
+        row_counts=whole(problem.row_counts),
+        frame_rotation=stacked(frame.rotation, 9),
+        frame_place=stacked(frame.translation, 3),
+        gravity=stacked(rows.model.gravity.linear, 3),
+        masses=stacked([inertia.mass for inertia in inertias]),
+        levers=stacked([inertia.lever for inertia in inertias], 3),
+        inertias=stacked([inertia.inertia for inertia in inertias], 9),
+        armatures=stacked(rows.model.armature),
+        held=whole(held),
+        end_rotations=stacked([end.rotation for ends in rows.placements for end in ends], 9),
+        end_places=stacked([end.translation for ends in rows.placements for end in ends], 3),
+        driven_rates=np.zeros(rows.model.nv),
+        values=np.zeros((2, len(problem.driven))),
+        pose_turn=np.zeros(1),
+        pose_share=np.zeros(1),
+        turn=np.zeros(3),
+        pose_rotations=np.zeros((2, 9)),
+        pose_places=np.zeros((2, 3)),
     )
 
 
 class PlainTree:
-    """A `Tree` for compiled functions: a table of pointers and shapes, which an argument costs nothing to pass.
+    """A tree for compiled functions: a table of pointers and shapes, which an argument costs nothing to pass.
 
     Numba passes a tuple array by array, each counted as a reference wherever a function is called.
     """
 
-    def __init__(self, tree: Tree) -> None:
-        self.tree = tree
-        rows = [(x.ctypes.data, *x.shape, 0)[:3] if isinstance(x, np.ndarray) else (x, 0, 0) for x in tree]
-        self._table = np.array(rows)
+    def __init__(self, tree: SimpleNamespace) -> None:
+        self.fields = vars(tree)
+        arrays = [
+            (x.ctypes.data, *x.shape, 0)[:3] if isinstance(x, np.ndarray) else (x, 0, 0) for x in vars(tree).values()
+        ]
+        self._table = np.array(arrays)
         self.address = self._table.ctypes.data
 
 
 class _PlainType(types.Type):
-    def __init__(self, fields: Any) -> None:
-        self.fields = fields
-        super().__init__(f"PlainTree({fields})")
+    def __init__(self, fields: dict[str, Any]) -> None:
+        self.fields = {name: (3 * k, numba.typeof(value)) for k, (name, value) in enumerate(fields.items())}
+        super().__init__(f"PlainTree({self.fields})")
 
 
 register_model(_PlainType)(models.OpaqueModel)
@@ -188,7 +145,7 @@ register_model(_PlainType)(models.OpaqueModel)
 
 @typeof_impl.register(PlainTree)
 def _type_of(value, _):  # type: ignore[no-untyped-def]
-    return _PlainType(numba.typeof(value.tree))
+    return _PlainType(value.fields)
 
 
 @unbox(_PlainType)
@@ -205,17 +162,16 @@ class _Fields(AttributeTemplate):
 
     def generic_resolve(self, kind, name):  # type: ignore[no-untyped-def, override]
         """Return the type of a field."""
-        return kind.fields[Tree._fields.index(name)]
+        return kind.fields[name][1]
 
 
 @lower_getattr_generic(_PlainType)
 def _load(context, builder, kind, tree, name):  # type: ignore[no-untyped-def]
-    place = Tree._fields.index(name)
-    field, integer = kind.fields[place], context.get_value_type(types.intp)
+    (place, field), integer = kind.fields[name], context.get_value_type(types.intp)
     table = builder.bitcast(tree, integer.as_pointer())
 
     def number(k):  # type: ignore[no-untyped-def]
-        result = builder.load(builder.gep(table, [integer(3 * place + k)]))
+        result = builder.load(builder.gep(table, [integer(place + k)]))
         # The table never changes, so that a loop may keep what is read before it.
         result.set_metadata("invariant.load", builder.module.add_metadata([]))
         return result
