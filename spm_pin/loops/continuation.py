@@ -26,6 +26,8 @@ exponential of all turns times the sum of all motions. Angles have U^a W^b of al
 - or if c in the quarters and J at the ends say so, with A of the middle and with bounds of the fifth derivative of c
   and the third of J.
 
+J of an end is that of the last iterate of Newton's method at which it was computed; boxes are wider by the distance.
+
 The theorem holds for hinges and slides, up to rounding errors, which are estimated. For ball, planar and free joints,
 whose displacements do not commute, and for joint equalities of a degree above one, whose curvature is not in the
 bounds, the test is a rule of thumb. Where c = 0 has rows that depend on

@@ -679,10 +679,6 @@ class Kernel:
         self.call: Callable[..., Any] = self._first_call
 
     def _first_call(self, *arguments: Any) -> Any:
-        self._compile(arguments)
-        return self.call(*arguments)
-
-    def _compile(self, arguments: tuple[Any, ...]) -> None:
         with self._lock:
             if not self.is_loaded:
                 # Numba's cache looks at one file alone: the name that is kept has a digest of all that is compiled.
@@ -698,6 +694,7 @@ class Kernel:
                     compiled = numba.njit(signature, error_model="numpy", nogil=True)(self._function)
                 # The function behind the dispatcher, which looks for the types of all arguments in a microsecond.
                 self.call, self.is_loaded = next(iter(compiled.overloads.values())).entry_point, True
+        return self.call(*arguments)
 
 
 run = Kernel(_run, __file__, str(continuation.__file__))
