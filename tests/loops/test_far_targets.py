@@ -1,4 +1,4 @@
-"""Ten thousand far targets of five robots: reached in the assembly mode of 2,000 small steps, or refused."""
+"""Far targets of five robots: reached in the assembly mode of 2,000 small steps, or refused."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from spm_pin.errors import ClosureError
 from spm_pin.loops.closed_chain import ClosedChain
 from tests.loops.robots import ROBOTS
 
-STEPS, FINER = 2000, 20
-"""Small steps to a target, and how many times as many decide where the result differs."""
+TARGETS, STEPS, FINER = 200, 2000, 20
+"""Targets of each robot, small steps to each, and how many times as many decide where the result differs."""
 
 
 def make_judge() -> Any:
@@ -54,7 +54,7 @@ def test_no_far_target_is_reached_in_another_mode(name: str) -> None:
     chain: ClosedChain = ROBOTS[name]()
     chain.compile()
     tree, judge, lost, reached = PlainTree(tree_of(chain._follower(None, ())._problem)), make_judge(), 0, 0
-    change = np.random.default_rng(11).uniform(-1.0, 1.0, (2000, len(chain.actuated)))
+    change = np.random.default_rng(11).uniform(-1.0, 1.0, (TARGETS, len(chain.actuated)))
     for target in chain.q0[chain.actuated_in_q] + change * chain.rows.units[chain.actuated_in_v]:
         try:
             q = chain.forward(target, chain.q0)
