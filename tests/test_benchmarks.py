@@ -397,3 +397,18 @@ def test_forward_solutions_and_dynamics_of_any_closed_chain_are_those_of_scipy_a
             state = chain.state(q, chain.state(q).joint_rates(rates))
             ours, theirs = state.forward_dynamics(10.0 * rates), accelerations(q, state.v, 10.0 * rates)
             assert np.abs(ours - theirs).max() <= 1e-9 * np.abs(theirs).max(), name
+
+
+def test_mink_finds_the_same_forward_solutions() -> None:
+    pytest.importorskip("mink")
+    mujoco = pytest.importorskip("mujoco")
+    from benchmarks.sections import loops
+
+    for name in loops.NAMES:
+        chain = loops.robot(name)
+        home, engine = chain.close(), mujoco.MjModel.from_xml_path(str(loops.FOLDER / f"{name}.xml"))
+        solve, hinges = loops.by_mink(name, chain), [n for n in chain.joint_names if len(chain.indices_in_q(n)) == 1]
+        places = [engine.joint(joint).qposadr[0] for joint in hinges]
+        for values in loops.targets_near(chain, home, 2):
+            expected = chain.forward(values, home)[chain.indices_in_q(*hinges)]
+            np.testing.assert_allclose(solve(values)[places], expected, rtol=0.0, atol=1e-7, err_msg=name)

@@ -21,7 +21,7 @@ from benchmarks.peers.peer import Peer
 OURS = "spm_pin"
 """Name of this package's public function in every task."""
 
-PACKAGES = ("numpy", "scipy", "numba", "poselib", "casadi", "pin", "python-flint", "eaik", "pycapacity", "jax")
+PACKAGES = ("numpy", "scipy", "numba", "poselib", "casadi", "pin", "python-flint", "eaik", "pycapacity", "mink", "jax")
 """Distributions whose versions a result depends on."""
 
 # Problem: (machine, poses (n,)). Read as the branches of each pose, (k, 3, 3) [m], NaN where only b_2 is known.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Callable
 from pathlib import Path
 
@@ -19,16 +20,17 @@ from spm_pin.loops.constraint_rows import LoopKinematics
 
 Array = npt.NDArray[np.float64]
 NAMES = ("four_bar", "five_bar", "ankle", "delta", "stewart")
-_FOLDER = Path(__file__).resolve().parents[2] / "examples/robots"
+FOLDER = Path(__file__).resolve().parents[2] / "examples/robots"
 _SPREAD = 0.1
 """Targets differ from home by at most this, in units of `ConstraintRows.units`: 1 rad, or a fourth of a loop."""
 _SINGLE, _BATCH, _PATH, _SCIPY = 20, 1000, 1000, 5
-"""Targets of a call that is timed: one by one, as a batch, along a path, and by SciPy."""
+"""Targets of a call that is timed: one by one, as a batch, along a path, and by SciPy or mink."""
+_MINK_STEPS, _MINK_ERROR = 50, 1e-9
 
 
 def robot(name: str) -> ClosedChain:
     """Return a robot of examples/robots."""
-    return ClosedChain.from_mjcf(_FOLDER / f"{name}.xml")
+    return ClosedChain.from_mjcf(FOLDER / f"{name}.xml")
 
 
 def targets_near(chain: ClosedChain, home: Array, number: int) -> Array:
@@ -69,6 +71,41 @@ def by_scipy(chain: ClosedChain, home: Array) -> Callable[[Array], Array]:
     return solve
 
 
+def by_mink(name: str, chain: ClosedChain) -> Callable[[Array], Array]:
+    """Return the forward solution, MuJoCo's qpos, by steps of mink from home: loops and actuated joints are tasks."""
+    import mink
+    import mujoco
+
+    model, home = mujoco.MjModel.from_xml_path(str(FOLDER / f"{name}.xml")), chain.close()
+    joints = {joint: chain.model.joints[chain.model.getJointId(joint)] for joint in chain.joint_names}
+    start, costs = np.zeros(model.nq), np.zeros(model.nv)
+    for joint, ours in joints.items():
+        index, own = model.joint(joint).qposadr[0], home[ours.idx_q : ours.idx_q + ours.nq]
+        if ours.nq in (4, 7):
+            # MuJoCo writes the real part of a quaternion first.
+            own = np.concatenate([own[:-4], np.roll(own[-4:], 1)])
+        start[index : index + ours.nq] = own
+    actuated = [model.joint(joint).qposadr[0] for joint in chain.actuated]
+    costs[[model.joint(joint).dofadr[0] for joint in chain.actuated]] = 1.0
+    loops, posture = mink.EqualityConstraintTask(model, 1.0), mink.PostureTask(model, costs)
+    configuration = mink.Configuration(model)
+
+    def solve(values: Array) -> Array:
+        target = start.copy()
+        target[actuated] = values
+        posture.set_target(target)
+        configuration.update(start)
+        for _ in range(_MINK_STEPS):
+            errors = loops.compute_error(configuration), configuration.q[actuated] - values
+            if max(np.abs(error).max() for error in errors) <= _MINK_ERROR:
+                break
+            rates = mink.solve_ik(configuration, [loops, posture], 1.0, "daqp", limits=[])
+            configuration.integrate_inplace(rates, 1.0)
+        return np.array(configuration.q)
+
+    return solve
+
+
 def by_pinocchio(chain: ClosedChain) -> Callable[[Array, Array, Array], Array]:
     """Return forward dynamics by `pinocchio.constraintDynamics` alone; the chain has point closures only."""
     model, data = chain.model, chain.model.createData()
@@ -94,7 +131,7 @@ def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
     section.add(
         "The robots are in `examples/robots`. A call and each member of a batch start from home, a sample of a path "
         "from the one before. `least_squares` solves the same equations from home, with their exact Jacobian, and "
-        "does not check in which assembly mode it ends."
+        "does not check in which assembly mode it ends. mink takes steps of its quadratic program to errors of 1e-9."
     )
     chains = {name: robot(name) for name in NAMES}
     with spm.threads(1):
@@ -113,12 +150,16 @@ def _forward_calls(chain: ClosedChain, name: str) -> list[TimedCall]:
     home = chain.close()
     values, path = targets_near(chain, home, _BATCH), path_of(chain, home, _PATH)
     starts, solve = np.tile(home, (_BATCH, 1)), by_scipy(chain, home)
-    return [
+    calls = [
         TimedCall(f"single, {name}", lambda: [chain.forward(x, home) for x in values[:_SINGLE]], _SINGLE),
         TimedCall(f"batch, {name}", lambda: chain.forward(values, starts), _BATCH),
         TimedCall(f"path, {name}", lambda: chain.forward(path, home), _PATH),
         TimedCall(f"SciPy, {name}", lambda: [solve(x) for x in values[:_SCIPY]], _SCIPY),
     ]
+    if importlib.util.find_spec("mink"):
+        by_steps = by_mink(name, chain)
+        calls.append(TimedCall(f"mink, {name}", lambda: [by_steps(x) for x in values[:_SCIPY]], _SCIPY))
+    return calls
 
 
 def _dynamics_calls(chain: ClosedChain, name: str) -> list[TimedCall]:
@@ -140,7 +181,9 @@ def _add_forward(section: Section, timings: dict[str, dict[str, Timing]], facts:
         scipy, ours = timing[f"SciPy, {name}"], [timing[f"{kind}, {name}"] for kind in ("single", "path", "batch")]
         ratios.append([scipy.over(one) for one in ours])
         medians = [spread_of_seconds(one.spread)[0] for one in (*ours, scipy)]
-        rows.append([name.replace("_", "-"), *medians, *(times(ratio)[0] for ratio in ratios[-1])])
+        mink = timing.get(f"mink, {name}")
+        by_steps = [times(mink.over(one))[0] if mink else "not installed" for one in ours]
+        rows.append([name.replace("_", "-"), *medians, *(times(ratio)[0] for ratio in ratios[-1]), *by_steps])
     header = [
         "",
         "single call",
@@ -148,6 +191,9 @@ def _add_forward(section: Section, timings: dict[str, dict[str, Timing]], facts:
         "member of a batch",
         "`least_squares`",
         "× single",
+        "× path",
+        "× batch",
+        "mink × single",
         "× path",
         "× batch",
     ]

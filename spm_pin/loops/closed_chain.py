@@ -21,10 +21,9 @@ from spm_pin.loops.closures import Closure, JointEquality, RobotDescription
 from spm_pin.loops.constraint_rows import ConstraintRows, LoopKinematics
 from spm_pin.loops.following import Follower, Problem
 from spm_pin.loops.forward_simulation import LoopMotion, simulate
-from spm_pin.loops.links import find_frame
 from spm_pin.loops.loop_state import LoopState
 from spm_pin.loops.mobility import Mobility, mobility
-from spm_pin.loops.state_kinematics import read_vectors
+from spm_pin.loops.state_kinematics import frame_index, read_vectors
 from spm_pin.support.arguments import (
     FloatArray,
     IntArray,
@@ -258,24 +257,25 @@ class ClosedChain:
         chosen = tuple(sorted(set(rows))) if isinstance(rows, Sequence | np.ndarray) else ()
         if not chosen or not set(chosen) <= set(range(6)) or len(chosen) != len(tuple(rows)):
             raise ArgumentError("rows", "different numbers from 0, 1, 2 (position) and 3, 4, 5 (rotation)", repr(rows))
-        if not isinstance(frame, str) or find_frame(self.model, frame) is None:
-            names = [f.name for f in self.model.frames]
-            close = difflib.get_close_matches(str(frame), names, n=3)
-            cause = f"Did you mean {' or '.join(map(repr, close))}?" if close else ""
-            raise ArgumentError("frame", "the name of a frame of the model", repr(frame), cause)
+        frame_index(self.model, frame)
         return self._follow(self._follower(frame, chosen), _matrices(pose), 2, near, "pose")
 
     def compile(self) -> None:
         """Compile paths, batches and forward dynamics, once for all robots and sessions: half a minute, later a second.
 
-        Batches of `forward` and `inverse` do so by themselves. A control loop calls this before it starts: its single
-        calls never wait for the compiler, and before compiling take a millisecond instead of some ten microseconds.
+        Batches of `forward` and `inverse`, and large ones of `forward_dynamics`, do so by themselves. A control loop
+        calls this before it starts: its single calls never wait for the compiler, and before compiling take a
+        millisecond instead of some ten microseconds.
         """
+        self._follower(None, ()).compile()
+        self.compile_dynamics()
+
+    def compile_dynamics(self) -> None:
+        """Compile forward dynamics alone."""
         from spm_pin.loops.dynamics_kernel import accelerate
 
-        self._follower(None, ()).compile()
-        q, zeros = self.q0.copy(), np.zeros(self.model.nv)
-        accelerate(self.tree, q, zeros, zeros, -1, -1, zeros.copy())
+        zeros = np.zeros(self.model.nv)
+        accelerate.call(self.tree, self.q0.copy(), zeros, zeros, -1, -1, zeros.copy())
 
     @cached_property
     def tree(self) -> Any:
@@ -283,7 +283,7 @@ class ClosedChain:
         from spm_pin.loops import tree_kernel
 
         problem = Problem(self.rows, np.arange(self.model.nv), self.actuated_in_q, self.actuated_in_v)
-        return tree_kernel.boxed(tree_kernel.tree_of(problem, self._held_in_v))
+        return tree_kernel.PlainTree(tree_kernel.tree_of(problem, self._held_in_v))
 
     def state(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> LoopState:
         """Return the `LoopState` at joint values q (..., nq) and velocities v (..., nv), zero by default."""

@@ -9,8 +9,6 @@ import numpy as np
 import pinocchio as pin
 
 ClosureKind = Literal["point", "hinge", "planar", "weld"]
-ROWS = {"point": 3, "hinge": 5, "planar": 2, "weld": 6}
-"""Number of scalar equations of each kind of closure."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,6 +26,8 @@ exponential of all turns times the sum of all motions. Angles have U^a W^b of al
 - or if c in the quarters and J at the ends say so, with A of the middle and with bounds of the fifth derivative of c
   and the third of J.
 
+J of an end is that of the last iterate of Newton's method at which it was computed; boxes are wider by the distance.
+
 The theorem holds for hinges and slides, up to rounding errors, which are estimated. For ball, planar and free joints,
 whose displacements do not commute, and for joint equalities of a degree above one, whose curvature is not in the
 bounds, the test is a rule of thumb. Where c = 0 has rows that depend on
@@ -37,6 +39,7 @@ differ.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -49,6 +52,8 @@ LONGEST = 1.0
 SHORTEST_STEP = 1e-7
 """Size of a step, dimensionless, below which a path ends: rounding errors become comparable to the step."""
 SHORTEST_SHARE = 2.0**-36
+FAR = 1e-3
+"""Size of a correction, dimensionless, after which J is computed anew."""
 MOST_CORRECTIONS = 12
 CLOSED, ROUNDED = 1e-10, 1e-9
 """Loops are closed if their equations, dimensionless, hold to `CLOSED`; mostly they do so to rounding, a few 1e-16. At
@@ -79,7 +84,7 @@ def make_follower(
     product: Callable[..., Any],
     jit: Callable[[Any], Any] = same,
 ) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """Return `follow(problem, q)`, from a closed q to the problem's target, and `go_on`, which has J and A there.
+    """Return `begin(problem, q)` for a closed q, and `go_on` from there to the problem's target.
 
     Parameters
     ----------
@@ -108,12 +113,11 @@ def make_follower(
         return result
 
     @jit
-    def bounds(problem, speeds, turns, u, w, a, b, reach):  # type: ignore[no-untyped-def]
-        """Return bounds (2, closures) of derivatives of positions and angles, a times along u and b times along w.
+    def bounds(problem, speeds, turns, u, w, a, b, reach, found):  # type: ignore[no-untyped-def]
+        """Write bounds (2, closures) of derivatives of positions and angles, a times along u and b times along w.
 
-        Speeds are those at a share `reach` of u from where bounds are to hold.
+        Speeds are those at a share `reach` of u, and at w, from where bounds are to hold.
         """
-        found = np.empty((2, len(problem.first_rows)))
         for k in range(len(problem.first_rows)):
             total, motion, all_u, all_w = 0.0, 0.0, 0.0, 0.0
             if k == problem.pose:
@@ -131,13 +135,15 @@ def make_follower(
                     total += speed * a * monomial(all_u, a - 1, all_w, b) * u[j]
                     total += speed * b * monomial(all_u, a, all_w, b - 1) * w[j]
             power = monomial(all_u, a, all_w, b)
-            found[0, k], found[1, k] = total + np.exp(min(reach * all_u + all_w, 9.0)) * motion * power, power
-        return found
+            found[0, k] = total + math.exp(min(reach * all_u + all_w, 9.0)) * motion * power
+            found[1, k] = power
 
     @jit
     def spread(sizes, bound):  # type: ignore[no-untyped-def]
         """Return bounds (p,) of A times what has bounds (2, closures)."""
-        return product(sizes[0], bound[0]) + product(sizes[1], bound[1])
+        result = product(sizes[0], bound[0])
+        result += product(sizes[1], bound[1])
+        return result
 
     @jit
     def sizes_of(problem, inverse):  # type: ignore[no-untyped-def]
@@ -150,49 +156,61 @@ def make_follower(
                 between = first + problem.position_counts[k]
                 for row in range(first, between):
                     squares += inverse[i, row] * inverse[i, row]
-                sizes[0, i, k] = np.sqrt(squares)
+                sizes[0, i, k] = math.sqrt(squares)
                 for row in range(between, first + problem.row_counts[k]):
                     sizes[1, i, k] += abs(inverse[i, row])
         return sizes
 
     @jit
-    def box(problem, sizes, speeds, turns, u, eta, change, weight, power, reach):  # type: ignore[no-untyped-def]
+    def box(problem, sizes, speeds, turns, u, eta, change, weight, power, reach, off):  # type: ignore[no-untyped-def]
         """Return whether some radii satisfy the inequality, and by which factor a step may be longer or be shorter.
 
-        `change` bounds |A J - 1| on the chord, beside what `weight` times derivatives along u, `power` times, add.
+        `change` bounds |A J - 1| on the chord, beside what `weight` times derivatives along u, `power` times, add; it
+        is empty where A J = 1. J and speeds are those at a distance of up to `off` from there.
         """
-        w, radii, fits = np.zeros(len(u)), 1.5 * eta + 0.01 * eta.max(), False
-        linear, square, last = radii, radii, np.inf
+        w, radii = np.zeros(len(u)), 1.5 * eta + 0.01 * eta.max()
+        fits, last, first, second = False, np.inf, 0.0, 0.0
+        bound = np.empty((2, len(problem.first_rows)))
         for _ in range(MOST_BOXES):
             for i in range(len(radii)):
-                w[problem.columns[i]] = radii[i]
-            linear = product(change, radii) + weight * spread(
-                sizes, bounds(problem, speeds, turns, u, w, power, 1, reach)
-            )
-            square = spread(sizes, bounds(problem, speeds, turns, u, w, 0, 2, reach))
-            total = eta + linear + square
-            used = (total / radii).max()
+                w[problem.columns[i]] = radii[i] + off
+            bounds(problem, speeds, turns, u, w, power, 1, reach, bound)
+            linear = spread(sizes, bound)
+            linear *= weight
+            if len(change) > 0:
+                linear += product(change, radii)
+            bounds(problem, speeds, turns, u, w, 0, 2, reach, bound)
+            square = spread(sizes, bound)
+            used, widest = 0.0, 0.0
+            for i in range(len(radii)):
+                total = eta[i] + linear[i] + square[i]
+                widest = max(widest, total)
+                # NaN stays.
+                if used == used and not total <= used * radii[i]:
+                    # Linear and quadratic part in the length of the step, of the row with the least margin.
+                    used, first, second = total / radii[i], linear[i] / radii[i], square[i] / radii[i] + 1e-9
+                linear[i] = 1.2 * total
             fits = used <= 1.0
-            if fits or not used < last or not total.max() < HOPELESS:
+            if fits or not used < last or not widest < HOPELESS:
                 break
-            last = used
-            radii = 1.2 * total
-        # Linear and quadratic part in the length of the step, of the row with the least margin.
-        k = ((linear + square) / radii).argmax()
-        first, second = linear[k] / radii[k], square[k] / radii[k] + 1e-9
-        return fits, 1.2 / (first + np.sqrt(first * first + 2.4 * second))
+            last, radii = used, linear
+        return fits, 1.2 / (first + math.sqrt(first * first + 2.4 * second))
 
     @jit
-    def safety(problem, q, done, end, x, jacobian, at_end, inverse, speeds, turns):  # type: ignore[no-untyped-def]
-        """Return whether a step is safe, and the factor of the next one."""
+    def safety(problem, q, done, end, x, jacobian, at_end, inverse, speeds, turns, off):  # type: ignore[no-untyped-def]
+        """Return whether a step is safe, and the factor of the next one.
+
+        J is of places at a distance of up to `off`, dimensionless, from the start and the end of the step.
+        """
         count = len(problem.columns)
-        u, none = np.abs(problem.driven_rates) * (end - done), np.zeros(len(problem.driven_rates))
+        u, w = np.abs(problem.driven_rates) * (end - done), np.zeros(len(problem.driven_rates))
         problem.pose_share[0] = end - done
         for i in range(count):
-            u[problem.columns[i]] = abs(x[i])
-        sizes = sizes_of(problem, inverse)
-        eta = 0.125 * spread(sizes, bounds(problem, speeds, turns, u, none, 2, 0, 1.0)) + ROUNDING
-        fits, factor = box(problem, sizes, speeds, turns, u, eta, np.zeros((count, count)), 1.0, 1, 1.0)
+            u[problem.columns[i]], w[problem.columns[i]] = abs(x[i]), off
+        sizes, bound = sizes_of(problem, inverse), np.empty((2, len(problem.first_rows)))
+        bounds(problem, speeds, turns, u, w, 2, 0, 1.0, bound)
+        eta = 0.125 * spread(sizes, bound) + ROUNDING
+        fits, factor = box(problem, sizes, speeds, turns, u, eta, np.empty((0, 0)), 1.0, 1, 1.0, off)
         if fits:
             return fits, factor
         half = 0.5 * (done + end)
@@ -203,87 +221,92 @@ def make_follower(
         largest = np.abs(product(inverse, c))
         for share in (0.25, 0.75):
             s = done + share * (end - done)
-            largest = np.maximum(
-                largest, np.abs(product(inverse, residual(problem, moved(problem, q, s, share * x), s)))
-            )
+            along = product(inverse, residual(problem, moved(problem, q, s, share * x), s))
+            largest = np.maximum(largest, np.abs(along))
         sizes = sizes_of(problem, inverse)
-        eta = INNER * largest + QUINTIC * spread(sizes, bounds(problem, speeds, turns, u, none, 5, 0, 0.5)) + ROUNDING
+        bounds(problem, speeds, turns, u, w, 5, 0, 0.5, bound)
+        eta = INNER * largest + QUINTIC * spread(sizes, bound) + ROUNDING
         first, last = inverse @ jacobian, inverse @ at_end
         for i in range(count):
             first[i, i] -= 1.0
             last[i, i] -= 1.0
         change = np.maximum(np.abs(first), np.abs(last))
-        return box(problem, sizes, speeds, turns, u, eta, change, CUBIC, 3, 0.5)
+        return box(problem, sizes, speeds, turns, u, eta, change, CUBIC, 3, 0.5, off)
 
     @jit
-    def step(problem, q, done, end, jacobian, inverse):  # type: ignore[no-untyped-def]
-        """Return whether a step is safe, q, J and A at its end, its size, and the next one's factor."""
+    def step(problem, q, done, end, jacobian, inverse, off):  # type: ignore[no-untyped-def]
+        """Return whether a step is safe, q, J, A and their distance at its end, its size, and the next one's factor."""
         x = np.zeros(len(problem.columns))
         tried = moved(problem, q, end, x)
         change = -product(inverse, residual(problem, tried, end))
         size = np.abs(change).max() if len(change) else 0.0
         if not size <= LONGEST:
-            return False, q, jacobian, inverse, size, 0.5 * LONGEST / size
+            return False, q, jacobian, inverse, off, size, 0.5 * LONGEST / size
         x += change
         tried = moved(problem, tried, end, change)
         c, at_end, speeds, turns = linearised(problem, tried, end)
         new, regular = left_inverse(at_end)
         if not regular:
-            return False, q, jacobian, inverse, size, 0.5
-        last, converged = max(size, 1e-300), False
+            return False, q, jacobian, inverse, off, size, 0.5
+        last, converged, away = max(size, 1e-300), False, 0.0
         for _ in range(MOST_CORRECTIONS):
             change = -product(new, c)
             correction = np.abs(change).max() if len(change) else 0.0
             if not correction <= max(0.5 * last, 1e-13):
                 break
             x += change
+            away += correction
             tried = moved(problem, tried, end, change)
             # The next correction is smaller by as much again: below rounding it is left out.
             if correction * min(1.0, correction / last) <= ROUNDING:
                 converged = len(c) == 0 or np.abs(c).max() <= max(CLOSED, 2.0 * correction)
                 break
             last = max(correction, 1e-300)
-            c = residual(problem, tried, end)
+            if correction > FAR:
+                c, at_end, speeds, turns = linearised(problem, tried, end)
+                new, regular = left_inverse(at_end)
+                if not regular:
+                    break
+                away = 0.0
+            else:
+                c = residual(problem, tried, end)
         if not converged:
-            return False, q, jacobian, inverse, size, 0.5
+            return False, q, jacobian, inverse, off, size, 0.5
         if size <= 1e-12 or len(x) == 0:
-            return True, tried, at_end, new, size, 4.0
-        safe, factor = safety(problem, q, done, end, x, jacobian, at_end, new, speeds, turns)
-        return safe, tried, at_end, new, size, factor
+            return True, tried, at_end, new, away, size, 4.0
+        safe, factor = safety(problem, q, done, end, x, jacobian, at_end, new, speeds, turns, max(off, away))
+        return safe, tried, at_end, new, away, size, factor
 
     @jit
-    def go_on(problem, q, jacobian, inverse):  # type: ignore[no-untyped-def]
-        """Return q, J and A at the end of the path, or as far as it leads, the status, the share, and the steps.
+    def go_on(problem, q, jacobian, inverse, off):  # type: ignore[no-untyped-def]
+        """Return q, J, A and their distance at the end of the path, or as far as it leads, status, share and steps.
 
-        J and A at its start are known. Where the next path leads to other values of driven joints, they are those that
-        this path ends with.
+        J and A at its start are known, at a distance of up to `off`. Where the next path leads to other values of
+        driven joints, they are those that this path ends with.
         """
         done, share, steps = 0.0, 1.0, 0
         while done < 1.0:
             end = done + share
             if end > 1.0 - 1e-12:
                 end = 1.0
-            accepted, reached, at_end, new, size, factor = step(problem, q, done, end, jacobian, inverse)
+            accepted, reached, at_end, new, away, size, factor = step(problem, q, done, end, jacobian, inverse, off)
             steps += 1
             if accepted:
-                q, jacobian, inverse, done = reached, at_end, new, end
+                q, jacobian, inverse, off, done = reached, at_end, new, away, end
                 share *= max(0.5, min(4.0, factor))
                 continue
             share *= max(0.1, min(0.7, factor)) if factor == factor else 0.1
             if share < SHORTEST_SHARE or size < SHORTEST_STEP:
-                return q, jacobian, inverse, NO_FURTHER, done, steps
-        return q, jacobian, inverse, DONE, done, steps
+                return q, jacobian, inverse, off, NO_FURTHER, done, steps
+        return q, jacobian, inverse, off, DONE, done, steps
 
     @jit
-    def follow(problem, q):  # type: ignore[no-untyped-def]
-        """Return q at the end of the path, or as far as it leads, the status, the share of the path, and the steps."""
+    def begin(problem, q):  # type: ignore[no-untyped-def]
+        """Return the status of a start, and J and A there."""
         c, jacobian, _, _ = linearised(problem, q, 0.0)
-        if len(c) > 0 and not np.abs(c).max() <= ROUNDED:
-            return q, OPEN_START, 0.0, 0
         inverse, regular = left_inverse(jacobian)
-        if not regular:
-            return q, SINGULAR_START, 0.0, 0
-        q, _, _, status, done, steps = go_on(problem, q, jacobian, inverse)
-        return q, status, done, steps
+        if len(c) > 0 and not np.abs(c).max() <= ROUNDED:
+            return OPEN_START, jacobian, inverse
+        return DONE if regular else SINGULAR_START, jacobian, inverse
 
-    return follow, go_on
+    return begin, go_on

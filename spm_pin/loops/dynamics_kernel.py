@@ -18,7 +18,6 @@ from spm_pin.loops.state_kinematics import AGREEMENT, COMPATIBLE, DEPENDENCE
 from spm_pin.loops.tree_kernel import (
     Kernel,
     axes_of,
-    borrowed,
     inlined,
     jit,
     left_side,
@@ -415,13 +414,13 @@ def _accelerate(tree, q, v, forces, rank, regular, a):  # type: ignore[no-untype
     return True
 
 
-def _run(trees, q, v, forces, rank, regular, a):  # type: ignore[no-untyped-def]
+def _run(tree, q, v, forces, rank, regular, a):  # type: ignore[no-untyped-def]
     """Write accelerations (nv,) under forces (nv,); return True if they were found and no error is to be raised.
 
     The rank of the rows is computed if it is negative; `regular` is the number of degrees of freedom in regular
     configurations: a larger one is a singularity.
     """
-    return _accelerate(borrowed(trees[0]), q, v, forces, rank, regular, a)
+    return _accelerate(tree, q, v, forces, rank, regular, a)
 
 
 accelerate = Kernel(

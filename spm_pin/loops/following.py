@@ -127,7 +127,16 @@ def left_inverse(jacobian: FloatArray) -> tuple[FloatArray, bool]:
     return np.asarray(lapack.dpotrs(factor, jacobian.T)[0]), True
 
 
-follow, _ = make_follower(residual, linearised, moved, left_inverse, np.dot)
+begin, go_on = make_follower(residual, linearised, moved, left_inverse, np.dot)
+
+
+def follow(problem: Problem, q: FloatArray) -> tuple[FloatArray, int, float, int]:
+    """Return q at the end of the path, or as far as it leads, the status, the share of the path, and the steps."""
+    status, jacobian, inverse = begin(problem, q)
+    if status:
+        return q, status, 0.0, 0
+    q, _, _, _, status, done, steps = go_on(problem, q, jacobian, inverse, 0.0)
+    return q, status, done, steps
 
 
 def _kernel() -> Any:
@@ -198,7 +207,7 @@ class Follower:
         kernel = _kernel() if len(targets) > FEW else sys.modules.get(f"{__package__}.tree_kernel")
         if kernel is not None and (kernel.run.is_loaded or len(targets) > FEW):
             aims = np.array(targets, order="C").reshape(len(targets), self._width)
-            k, status, done, steps = kernel.run(self._tree(kernel), starts, aims, is_path, results)
+            k, status, done, steps = kernel.run.call(self._tree(kernel), starts, aims, is_path, results)
         else:
             problem, q = self.problem(), starts[0]
             for k, target in enumerate(targets):
@@ -215,14 +224,14 @@ class Follower:
         """Compile the kernel, or load it."""
         empty = np.zeros((0, self._width))
         kernel = _kernel()
-        kernel.run(
+        kernel.run.call(
             self._tree(kernel), np.array(self.chain.q0, ndmin=2), empty, True, np.zeros((0, self.chain.model.nq))
         )
 
     def _tree(self, kernel: Any) -> Any:
         """Return the problem of this thread as arrays."""
         if not hasattr(self._local, "tree"):
-            self._local.tree = kernel.boxed(kernel.tree_of(self._problem))
+            self._local.tree = kernel.PlainTree(kernel.tree_of(self._problem))
         return self._local.tree
 
     def explained(

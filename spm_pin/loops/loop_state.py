@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -21,6 +23,9 @@ from spm_pin.loops.state_kinematics import (
     read_vectors,
 )
 from spm_pin.support.arguments import FloatArray
+
+MANY = 5000
+"""Largest batch whose dynamics are computed by Pinocchio and NumPy, in about a second, if the kernel is not loaded."""
 
 
 class Energy(NamedTuple):
@@ -205,17 +210,21 @@ class LoopState(BatchedState):
 
         `tau` (..., n) [N, N m] is in the order of the actuators.
         """
-
-        def member(tau: FloatArray, *loads: FloatArray) -> FloatArray:
-            forces = self._forces(tau, frames, loads)
-            a = self.kinematics.compiled_accelerations(self._rates, forces)
-            if a is None:
-                self._check_closed()
-                a = self.kinematics.accelerations(self._rates, forces)
-            return a
-
+        values = self._actuator_values(tau, "tau")
+        if wrenches is None and values.ndim == 1 and not self._batch:
+            return self._accelerations([], values)
         frames, arrays = self._read_wrenches(wrenches)
-        return self._each_member(member, (self._nv,), tau=self._actuator_values(tau, "tau"), **arrays)
+        if max(math.prod(self._batch), math.prod(values.shape[:-1])) > MANY:
+            self._chain.compile_dynamics()
+        return self._each_member(partial(self._accelerations, frames), (self._nv,), tau=values, **arrays)
+
+    def _accelerations(self, frames: list[int], tau: FloatArray, *loads: FloatArray) -> FloatArray:
+        forces = self._forces(tau, frames, loads)
+        a = self.kinematics.compiled_accelerations(self._rates, forces)
+        if a is None:
+            self._check_closed()
+            a = self.kinematics.accelerations(self._rates, forces)
+        return a
 
     def inverse_dynamics(self, a: npt.ArrayLike, wrenches: Mapping[str, npt.ArrayLike] | None = None) -> FloatArray:
         """Return the forces of the actuators (..., n) [N, N m] for a motion under gravity, inertia and wrenches.

@@ -101,14 +101,18 @@ class StateKinematics:
         for moved, (first, _) in zip(self._first, rows.joints, strict=True):
             for joint in [self.model.joints[j] for j in list(self.model.supports[first])[1:]]:
                 moved[joint.idx_v : joint.idx_v + joint.nv] = 1.0
+        self._accelerate: Any = None
+        self._bare = 0  # number of attributes while no member is cached
+        self._bare = len(self.__dict__)
 
     def evaluate(self, q: FloatArray) -> None:
         """Move to q (nq,); what is known of the same q is kept."""
         values, self.q = q.tobytes(), q
         if values != self._values:
             self._values, self._has_placements = values, False
-            for name in _CACHED & self.__dict__.keys():
-                del self.__dict__[name]
+            if len(self.__dict__) > self._bare:
+                for name in _CACHED & self.__dict__.keys():
+                    del self.__dict__[name]
 
     @property
     def data(self) -> Any:
@@ -244,13 +248,13 @@ class StateKinematics:
 
     def compiled_accelerations(self, v: FloatArray, forces: FloatArray) -> FloatArray | None:
         """Return the same as `accelerations`, or None: nothing is compiled, or the state is not regular and closed."""
-        kernel = sys.modules.get(f"{__package__}.dynamics_kernel")
-        if kernel is None or not kernel.accelerate.is_loaded:
-            return None
-        accelerations = np.empty(v.size)
-        rank = -1 if self.rank is None else self.rank
-        tree, regular = self._chain.tree, self._chain.regular_dof
-        return accelerations if kernel.accelerate(tree, self.q, v, forces, rank, regular, accelerations) else None
+        if self._accelerate is None:
+            kernel = sys.modules.get(f"{__package__}.dynamics_kernel")
+            if kernel is None or not kernel.accelerate.is_loaded:
+                return None
+            self._accelerate = kernel.accelerate.call
+        a, chain, rank = np.empty(v.size), self._chain, -1 if self.rank is None else self.rank
+        return a if self._accelerate(chain.tree, self.q, v, forces, rank, chain.regular_dof, a) else None
 
     def accelerations(self, v: FloatArray, forces: FloatArray) -> FloatArray:
         """Return the joint accelerations (nv,) under generalized forces (nv,), gravity and the closures' forces."""
@@ -290,6 +294,8 @@ def read_joint_values(model: Any, q: npt.ArrayLike, argument: str = "q") -> Floa
     array = read_vectors(q, argument, model.nq, "joint values in rad and m in Pinocchio's order")
     if model.nq == model.nv:
         return array
+    if array.ndim == 1 and pin.isNormalized(model, array, 1e-6):
+        return np.asarray(pin.normalize(model, array))
     flat = array.reshape(-1, model.nq)
     if not all(pin.isNormalized(model, row, 1e-6) for row in flat):
         expected = "unit quaternions (x, y, z, w) of free and ball joints"

@@ -1,3 +1,4 @@
+# mypy: allow-untyped-calls
 """Paths of any closed chain, compiled once for all: tree, closures and target are arrays.
 
 The functions are those of `following` over Pinocchio, for the same `continuation`. A joint is one of seven kinds, by
@@ -12,13 +13,25 @@ import math
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from types import SimpleNamespace
+from typing import Any
 
 import numba
 import numpy as np
 import pinocchio as pin
 from numba.core import event, types
-from numba.extending import intrinsic, register_jitable
+from numba.core.typing.templates import AttributeTemplate
+from numba.extending import (
+    NativeValue,
+    infer_getattr,
+    lower_getattr_generic,
+    models,
+    register_jitable,
+    register_model,
+    typeof_impl,
+    unbox,
+)
+from numba.np.arrayobj import populate_array
 
 from spm_pin.loops import continuation
 from spm_pin.loops.constraint_rows import FORMS
@@ -35,59 +48,11 @@ inlined: Any = register_jitable(error_model="numpy", forceinline=True)
 """For small functions of small arrays, of which the compiler then keeps the elements in registers."""
 
 
-class Tree(NamedTuple):
-    """A `Problem` as arrays, and the masses of its bodies; the last ones are written by `aim`."""
+def tree_of(problem: Any, held: IntArray | tuple[()] = ()) -> SimpleNamespace:
+    """Return a `following.Problem` as arrays, and the masses of its bodies; `_aim` writes the last ones.
 
-    parents: IntArray
-    kinds: IntArray
-    in_q: IntArray
-    in_v: IntArray
-    rotations: FloatArray
-    places: FloatArray
-    linear: FloatArray
-    angular: FloatArray
-    joints: IntArray
-    carriers: IntArray
-    units: FloatArray
-    ends: IntArray
-    scales: FloatArray
-    first_columns: IntArray
-    loop_columns: IntArray
-    loop_signs: FloatArray
-    forms: IntArray
-    row_units: FloatArray
-    equality_places: IntArray
-    polynomials: FloatArray
-    zeros: FloatArray
-    columns: IntArray
-    unknowns: IntArray
-    driven: IntArray
-    driven_in_v: IntArray
-    pose: int
-    first_rows: IntArray
-    position_counts: IntArray
-    row_counts: IntArray
-    frame_rotation: FloatArray
-    frame_place: FloatArray
-    gravity: FloatArray
-    masses: FloatArray
-    levers: FloatArray
-    inertias: FloatArray
-    armatures: FloatArray
-    held: IntArray
-    end_rotations: FloatArray
-    end_places: FloatArray
-    driven_rates: FloatArray
-    values: FloatArray
-    pose_turn: FloatArray
-    pose_share: FloatArray
-    turn: FloatArray
-    pose_rotations: FloatArray
-    pose_places: FloatArray
-
-
-def tree_of(problem: Any, held: IntArray | tuple[()] = ()) -> Tree:
-    """Return a `following.Problem` as arrays; `held` are velocities that are zero in dynamics."""
+    `held` are velocities that are zero in dynamics.
+    """
     rows, joints, inertias = problem.rows, list(problem.rows.model.joints)[1:], list(problem.rows.model.inertias)[1:]
     linear, angular = rows.screws
     placements = [rows.model.jointPlacements[joint.id] for joint in joints]
@@ -102,82 +67,123 @@ def tree_of(problem: Any, held: IntArray | tuple[()] = ()) -> Tree:
     def stacked(values: Any, *shape: int) -> FloatArray:
         return np.array(values, dtype=np.float64, order="C").reshape(-1, *shape).copy()
 
-    return Tree(
-        whole([rows.model.parents[joint.id] - 1 for joint in joints]),
-        whole([_KINDS.get(joint.shortname().removeprefix("JointModel"), HINGE) for joint in joints]),
-        whole([joint.idx_q for joint in joints]),
-        whole([joint.idx_v for joint in joints]),
-        stacked([placement.rotation for placement in placements], 9),
-        stacked([placement.translation for placement in placements], 3),
-        stacked(linear, 3),
-        stacked(angular, 3),
-        whole(np.repeat(np.arange(len(joints)), [joint.nv for joint in joints])),
-        whole(rows.model.createData().parents_fromRow),
-        stacked(rows.units),
-        whole(rows.joints).reshape(-1, 2) - 1,
-        stacked(0.25 * rows.loop_lengths),
-        whole(problem.first_columns),
-        whole(problem.loop_columns),
-        stacked(np.concatenate([sign[order] for sign, order in zip(rows.signs, orders, strict=True)] or [np.zeros(0)])),
-        whole(rows.forms % FORMS),
-        stacked(rows.row_units),
-        whole(rows.equality_places),
-        np.array(rows.polynomials, order="C"),
-        np.array(rows.zeros, order="C"),
-        whole(problem.columns),
-        whole(unknowns),
-        whole(problem.driven),
-        whole(problem.driven_in_v),
-        problem.pose,
-        whole(problem.first_rows),
-        whole(problem.position_counts),
-        whole(problem.row_counts),
-        stacked(frame.rotation, 9),
-        stacked(frame.translation, 3),
-        stacked(rows.model.gravity.linear, 3),
-        stacked([inertia.mass for inertia in inertias]),
-        stacked([inertia.lever for inertia in inertias], 3),
-        stacked([inertia.inertia for inertia in inertias], 9),
-        stacked(rows.model.armature),
-        whole(held),
-        stacked([end.rotation for ends in rows.placements for end in ends], 9),
-        stacked([end.translation for ends in rows.placements for end in ends], 3),
-        np.zeros(rows.model.nv),
-        np.zeros((2, len(problem.driven))),
-        np.zeros(1),
-        np.zeros(1),
-        np.zeros(3),
-        np.zeros((2, 9)),
-        np.zeros((2, 3)),
+    return SimpleNamespace(
+        parents=whole([rows.model.parents[joint.id] - 1 for joint in joints]),
+        kinds=whole([_KINDS.get(joint.shortname().removeprefix("JointModel"), HINGE) for joint in joints]),
+        in_q=whole([joint.idx_q for joint in joints]),
+        in_v=whole([joint.idx_v for joint in joints]),
+        rotations=stacked([placement.rotation for placement in placements], 9),
+        places=stacked([placement.translation for placement in placements], 3),
+        linear=stacked(linear, 3),
+        angular=stacked(angular, 3),
+        joints=whole(np.repeat(np.arange(len(joints)), [joint.nv for joint in joints])),
+        carriers=whole(rows.model.createData().parents_fromRow),
+        units=stacked(rows.units),
+        ends=whole(rows.joints).reshape(-1, 2) - 1,
+        scales=stacked(0.25 * rows.loop_lengths),
+        first_columns=whole(problem.first_columns),
+        loop_columns=whole(problem.loop_columns),
+        loop_signs=stacked(
+            np.concatenate([sign[order] for sign, order in zip(rows.signs, orders, strict=True)] or [np.zeros(0)])
+        ),
+        forms=whole(rows.forms % FORMS),
+        row_units=stacked(rows.row_units),
+        equality_places=whole(rows.equality_places),
+        polynomials=np.array(rows.polynomials, order="C"),
+        zeros=np.array(rows.zeros, order="C"),
+        columns=whole(problem.columns),
+        unknowns=whole(unknowns),
+        driven=whole(problem.driven),
+        driven_in_v=whole(problem.driven_in_v),
+        pose=problem.pose,
+        first_rows=whole(problem.first_rows),
+        position_counts=whole(problem.position_counts),
+        row_counts=whole(problem.row_counts),
+        frame_rotation=stacked(frame.rotation, 9),
+        frame_place=stacked(frame.translation, 3),
+        gravity=stacked(rows.model.gravity.linear, 3),
+        masses=stacked([inertia.mass for inertia in inertias]),
+        levers=stacked([inertia.lever for inertia in inertias], 3),
+        inertias=stacked([inertia.inertia for inertia in inertias], 9),
+        armatures=stacked(rows.model.armature),
+        held=whole(held),
+        end_rotations=stacked([end.rotation for ends in rows.placements for end in ends], 9),
+        end_places=stacked([end.translation for ends in rows.placements for end in ends], 3),
+        driven_rates=np.zeros(rows.model.nv),
+        values=np.zeros((2, len(problem.driven))),
+        pose_turn=np.zeros(1),
+        pose_share=np.zeros(1),
+        turn=np.zeros(3),
+        pose_rotations=np.zeros((2, 9)),
+        pose_places=np.zeros((2, 3)),
     )
 
 
-def boxed(tree: Tree) -> Any:
-    """Return a tree in a list of Numba's, which a call takes as one argument: the arrays one by one take 30 µs."""
-    trees = numba.typed.List()
-    trees.append(tree)
-    return trees
+class PlainTree:
+    """A tree for compiled functions: a table of pointers and shapes, which an argument costs nothing to pass.
 
-
-def _borrow(typing, tree):  # type: ignore[no-untyped-def]
-    """Return a tree whose arrays are not counted as references; counting takes most of the time of a short function.
-
-    The caller of the kernel holds the arrays until it returns.
+    Numba passes a tuple array by array, each counted as a reference wherever a function is called.
     """
 
-    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-        (result,) = arguments
-        for k, kind in enumerate(tree.types):
-            if isinstance(kind, types.Array):
-                array = context.make_array(kind)(context, builder, builder.extract_value(result, k))
-                array.meminfo = array.meminfo.type(None)
-                result = builder.insert_value(result, array._getvalue(), k)
+    def __init__(self, tree: SimpleNamespace) -> None:
+        self.fields = vars(tree)
+        arrays = [
+            (x.ctypes.data, *x.shape, 0)[:3] if isinstance(x, np.ndarray) else (x, 0, 0) for x in vars(tree).values()
+        ]
+        self._table = np.array(arrays)
+        self.address = self._table.ctypes.data
+
+
+class _PlainType(types.Type):
+    def __init__(self, fields: dict[str, Any]) -> None:
+        self.fields = {name: (3 * k, numba.typeof(value)) for k, (name, value) in enumerate(fields.items())}
+        super().__init__(f"PlainTree({self.fields})")
+
+
+register_model(_PlainType)(models.OpaqueModel)
+
+
+@typeof_impl.register(PlainTree)
+def _type_of(value, _):  # type: ignore[no-untyped-def]
+    return _PlainType(value.fields)
+
+
+@unbox(_PlainType)
+def _unbox(_, value, c):  # type: ignore[no-untyped-def]
+    number = c.pyapi.object_getattr_string(value, "address")
+    pointer = c.pyapi.long_as_voidptr(number)
+    c.pyapi.decref(number)
+    return NativeValue(pointer)
+
+
+@infer_getattr
+class _Fields(AttributeTemplate):
+    key = _PlainType
+
+    def generic_resolve(self, kind, name):  # type: ignore[no-untyped-def, override]
+        """Return the type of a field."""
+        return kind.fields[name][1]
+
+
+@lower_getattr_generic(_PlainType)
+def _load(context, builder, kind, tree, name):  # type: ignore[no-untyped-def]
+    (place, field), integer = kind.fields[name], context.get_value_type(types.intp)
+    table = builder.bitcast(tree, integer.as_pointer())
+
+    def number(k):  # type: ignore[no-untyped-def]
+        result = builder.load(builder.gep(table, [integer(place + k)]))
+        # The table never changes, so that a loop may keep what is read before it.
+        result.set_metadata("invariant.load", builder.module.add_metadata([]))
         return result
 
-    return tree(tree), generate
-
-
-borrowed: Any = intrinsic(_borrow)
+    if not isinstance(field, types.Array):
+        return number(0)
+    array, item = context.make_array(field)(context, builder), field.dtype.bitwidth // 8
+    shape = [number(1 + k) for k in range(field.ndim)]
+    strides = [integer(item)] if field.ndim == 1 else [builder.mul(shape[1], integer(item)), integer(item)]
+    data = builder.inttoptr(number(0), array.data.type)
+    populate_array(array, data, shape, strides, integer(item), meminfo=None)
+    return array._getvalue()
 
 
 @inlined
@@ -622,29 +628,29 @@ def _aim(tree, q, target):  # type: ignore[no-untyped-def]
     tree.pose_turn[0] = length(tree.turn)
 
 
-_follow, _go_on = continuation.make_follower(_residual, _linearised, _moved, _left_inverse, _matrix_times, jit)
+_begin, _go_on = continuation.make_follower(_residual, _linearised, _moved, _left_inverse, _matrix_times, jit)
 
 
-def _run(trees, starts, targets, is_path, results):  # type: ignore[no-untyped-def]
+def _run(tree, starts, targets, is_path, results):  # type: ignore[no-untyped-def]
     """Write q of all targets; return the number of those reached, and the status, share and steps of the last path."""
-    tree = borrowed(trees[0])
-    q, status, done, steps = starts[0], continuation.DONE, 1.0, 0
-    jacobian = np.empty((0, 0))
+    q, off, jacobian = starts[0], 0.0, np.empty((0, 0))
     inverse = jacobian
     for k in range(len(targets)):
         if not is_path:
             q = starts[k]
         _aim(tree, q, targets[k])
-        if k > 0 and is_path and tree.pose < 0:
-            q, jacobian, inverse, status, done, steps = _go_on(tree, q, jacobian, inverse)
-        else:
-            q, status, done, steps = _follow(tree, q)
-            if is_path and tree.pose < 0 and status == continuation.DONE:
-                _, jacobian, _, _ = _linearised(tree, q, 1.0)
-                inverse, _ = _left_inverse(jacobian)
+        if k == 0 or tree.pose >= 0 or not (is_path or (q == starts[k - 1]).all()):
+            status, jacobian, inverse = _begin(tree, q)
+            off = 0.0
+            if status != continuation.DONE:
+                results[k] = q
+                return k, status, 0.0, 0
+        q, at_end, new, away, status, done, steps = _go_on(tree, q, jacobian, inverse, off)
         results[k] = q
         if status != continuation.DONE:
             return k, status, done, steps
+        if is_path:
+            jacobian, inverse, off = at_end, new, away
     return len(targets), continuation.DONE, 1.0, 0
 
 
@@ -664,25 +670,17 @@ class _Announcement(event.Listener):
 
 
 class Kernel:
-    """A compiled function, made or loaded from Numba's cache at its first call."""
+    """A function, `call`, that is compiled or loaded from Numba's cache at its first call."""
 
     def __init__(self, function: Callable[..., Any], *modules: str) -> None:
         """`modules` are the files that the function is compiled from."""
         self._function, self._modules, self._lock = function, modules, threading.Lock()
-        self._compiled: Callable[..., Any] | None = None
+        self.is_loaded = False  # whether a call starts at once
+        self.call: Callable[..., Any] = self._first_call
 
-    def __call__(self, *arguments: Any) -> Any:
-        """Call the compiled function."""
-        return (self._compiled or self._compile(arguments))(*arguments)
-
-    @property
-    def is_loaded(self) -> bool:
-        """Whether a call starts at once."""
-        return self._compiled is not None
-
-    def _compile(self, arguments: tuple[Any, ...]) -> Callable[..., Any]:
+    def _first_call(self, *arguments: Any) -> Any:
         with self._lock:
-            if self._compiled is None:
+            if not self.is_loaded:
                 # Numba's cache looks at one file alone: the name that is kept has a digest of all that is compiled.
                 digest = hashlib.sha256(b"".join(Path(module).read_bytes() for module in self._modules)).hexdigest()
                 self._function.__qualname__ = f"{self._function.__name__}_{digest[:16]}"
@@ -695,8 +693,8 @@ class Kernel:
                     _LOG.warning("spm_pin: Numba's cache cannot be used, see NUMBA_CACHE_DIR: %r", error)
                     compiled = numba.njit(signature, error_model="numpy", nogil=True)(self._function)
                 # The function behind the dispatcher, which looks for the types of all arguments in a microsecond.
-                self._compiled = next(iter(compiled.overloads.values())).entry_point
-            return self._compiled
+                self.call, self.is_loaded = next(iter(compiled.overloads.values())).entry_point, True
+        return self.call(*arguments)
 
 
 run = Kernel(_run, __file__, str(continuation.__file__))
