@@ -34,11 +34,11 @@ _ANSWERS = {
     "`singularities`": f"{_STATE}spm.singularities(state)",
 }
 _STAGE_ANSWERS = {
-    "`stages.inverse`": f"{_STAGE}spm.inverse_displacement(stage, 0.6, tilt=0.1, azimuth=0.0)",
-    "`stages.forward_physical`": f"{_STAGE_STATE}spm.forward_physical(stage, state.readings)",
-    "`stages.forward`": f"{_STAGE_STATE}spm.forward_displacement(stage, state.readings)",
-    "`stages.leg_forces`": f"{_STAGE_STATE}spm.leg_forces(state, [0.0, 0.0, -1.0, 0.0, 0.0, 0.0])",
-    "`stages.singularities`": f"{_STAGE_STATE}spm.singularities(state)",
+    "`inverse_displacement` of a stage": f"{_STAGE}spm.inverse_displacement(stage, 0.6, tilt=0.1, azimuth=0.0)",
+    "`forward_physical` of a stage": f"{_STAGE_STATE}spm.forward_physical(stage, state.readings)",
+    "`forward_displacement` of a stage": f"{_STAGE_STATE}spm.forward_displacement(stage, state.readings)",
+    "`leg_forces` of a stage": f"{_STAGE_STATE}spm.leg_forces(state, [0.0, 0.0, -1.0, 0.0, 0.0, 0.0])",
+    "`singularities` of a stage": f"{_STAGE_STATE}spm.singularities(state)",
 }
 _RUN = "try:\n    main()\nexcept SystemExit as end:\n    assert end.code in (0, 5), end"  # 5: beyond the limits
 _COMMANDS = (

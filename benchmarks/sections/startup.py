@@ -59,9 +59,9 @@ def _single(section: Section, pace: Pace, progress: Progress, facts: Facts) -> N
         "`forward_physical`": lambda: spm.forward_physical(MACHINE, lengths),
         "`forward_physical`, near a state": lambda: spm.forward_physical(MACHINE, moved, near=state),
         "`forward_displacement`": lambda: spm.forward_displacement(MACHINE, lengths),
-        "`stages.inverse`": lambda: spm.inverse_displacement(stage, 0.6, tilt=0.1, azimuth=0.0),
-        "`stages.forward_physical`": lambda: spm.forward_physical(stage, stage_state.readings),
-        "`stages.forward`": lambda: spm.forward_displacement(stage, stage_state.readings),
+        "`inverse_displacement` of a stage": lambda: spm.inverse_displacement(stage, 0.6, tilt=0.1, azimuth=0.0),
+        "`forward_physical` of a stage": lambda: spm.forward_physical(stage, stage_state.readings),
+        "`forward_displacement` of a stage": lambda: spm.forward_displacement(stage, stage_state.readings),
     }
     timings = time_in_turns([TimedCall(name, call, 1) for name, call in calls.items()], pace, progress)
     first = timings[next(iter(calls))].spread

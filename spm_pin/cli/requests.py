@@ -219,7 +219,7 @@ class TiltRequest(Request):
         if "tilt" in place:
             place.setdefault("azimuth", 0.0)
         if height is None:
-            from spm_pin.stages import home_height
+            from spm_pin.workspace import home_height
 
             height = home_height(typed.machine) * typed.unit.per_metre
         return cls(typed, {"height": height / typed.unit.per_metre, **place}, prefix)

@@ -19,8 +19,8 @@ from spm_pin.display.writing import FORMATS, fixed, save_figure
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.machine import LEGS, LegLimits, Manipulator
 from spm_pin.machine.manipulator import check_manipulator
-from spm_pin.stages import ReachEnd, best_height, height_range
-from spm_pin.stages import reach as largest_tilts
+from spm_pin.workspace import ReachEnd, best_height, height_range
+from spm_pin.workspace import reach as largest_tilts
 from spm_pin.workspace.boundary import Boundary, reachable_boundary
 from spm_pin.workspace.positions import Estimate
 

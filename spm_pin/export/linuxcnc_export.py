@@ -45,7 +45,7 @@ def linuxcnc_configuration(machine: Manipulator | Stage) -> dict[str, str]:
         The texts of the files by name: `spm.ini` and `spm.hal`, the sources of the module `spmkins`, the numbers
         of the machine `spm_machine.txt`, which it reads when LinuxCNC starts, a program `demo.ngc` and a tool table.
         Those of a stage are `stage.ini`, `stagekins.c` and so on. Lengths are in millimetres, angles in degrees. The
-        axes of a robot are X Y Z A B C, those of a stage Z A B: the height, roll and pitch of `stages.inverse`.
+        axes of a robot are X Y Z A B C, those of a stage Z A B: the height, roll and pitch of `inverse_displacement`.
     """
     check_machine(machine, "machine")
     known = _Robot(machine) if isinstance(machine, Manipulator) else _StageAlone(machine)

@@ -233,7 +233,7 @@ def _reachable_by_stage(
     branch: str = "physical",
     **place: Any,
 ) -> Reachability:
-    """Find which modes of heights and tilts respect limits; `place` are further arguments of `stages.inverse`."""
+    """Find which modes of heights and tilts respect limits; `place` are further arguments of `inverse_displacement`."""
     limits = machine.limits if limits is None else machine.check_limits(limits)
     return _reachability(stage_displacement.inverse(machine, height, **place), limits, joints, branch)
 

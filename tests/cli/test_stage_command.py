@@ -19,7 +19,7 @@ STAGE = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11))
 def test_readings_of_a_tilt_and_the_way_back() -> None:
     done = run("stage", "inverse", *SIZES, "--height", "120", "--roll", "8", "--pitch", "-5", "--json")
     content = json.loads(done.stdout)
-    expected = spm.stages.inverse_physical(STAGE, 0.12, roll=np.radians(8), pitch=np.radians(-5))
+    expected = spm.inverse_physical(STAGE, 0.12, roll=np.radians(8), pitch=np.radians(-5))
     (mode,) = content["branches"]
     assert (
         "for a tilt of 9.43° towards"
@@ -173,7 +173,7 @@ def test_a_tilt_towards_x_of_a_picture_and_of_readings(place: list[str], tmp_pat
     title = f"tilt 10.0° towards 0°, height {1e3 * home:.1f} mm"
     assert title in (tmp_path / "stage.svg").read_text(encoding="utf-8")
     (mode,) = json.loads(run("stage", "inverse", *SIZES, *place, "--json").stdout)["branches"]
-    expected = spm.stages.inverse_physical(STAGE, home, tilt=np.radians(10.0), azimuth=0.0)
+    expected = spm.inverse_physical(STAGE, home, tilt=np.radians(10.0), azimuth=0.0)
     np.testing.assert_allclose(mode["readings"], np.degrees(expected.readings), atol=1e-9)
 
 
