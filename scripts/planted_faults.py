@@ -1,18 +1,18 @@
-"""Plant faults in the package, one at a time, and count how many of them `make test` catches.
+"""Plant faults in the package, one at a time, and count how many of them the tests catch.
 
-    python scripts/planted_faults.py map     # once: which tests run which lines, and how long they take
-    python scripts/planted_faults.py run     # plants and tests; interrupted, it goes on where it was
+    python scripts/planted_faults.py map     # once, an hour: which tests run which lines, and how long they take
+    python scripts/planted_faults.py run     # two hours; interrupted, it goes on where it was
     python scripts/planted_faults.py list    # what survived
 
-A fault is a changed sign, index, constant or comparison, two arguments in the wrong order or a copy not made. The same
-seed plants the same faults, an equal number in each group of files. Everything happens in copies of the tree and without
-compiling: kernels are interpreted, which gives the same bits. A fault is caught if a test fails of those that run its
-line, the quickest first, and then of those that run anything in its file. Numbers below 1e-4 are left alone: they are
-tolerances, whose double is no fault. Tests which fail or take long without a compiler do not count, so a survivor may
-still be caught by the whole `make test`: `run --compiled` repeats the survivors with it.
+A fault is a changed sign, index, constant or comparison, two arguments in the wrong order or a copy not made. The
+same seed plants the same faults, an equal number in each group of files. Everything happens in copies of the tree and
+without compiling: interpreted kernels give the same bits. A fault is caught if a test fails of those that run its block
+of statements, the quickest first, and then of those that run anything in its file. Numbers below 1e-4 are left alone:
+they are tolerances, whose double is no fault. Tests that fail or take long without a compiler do not count, so a
+survivor may still be caught by `make test`: `run --survivors --compiled` plants it again with one.
 
-mutmut and cosmic-ray run all tests of a module for each of all faults, which takes days here, and mutmut puts a wrapper
-around each function, which Numba does not compile.
+mutmut and cosmic-ray run all tests of a module for each of all faults, which takes days here; mutmut moreover puts a
+wrapper around each function, which Numba does not compile.
 """
 
 from __future__ import annotations
@@ -21,14 +21,16 @@ import argparse
 import ast
 import collections
 import concurrent.futures
+import contextlib
 import json
+import multiprocessing
 import os
 import random
 import shutil
 import signal
-import subprocess
 import sys
 from collections.abc import Iterator
+from importlib import import_module
 from importlib.util import cache_from_source
 from pathlib import Path
 from typing import Any
@@ -52,6 +54,18 @@ SWAPS = {
 }  # fmt: skip
 SYMMETRIC = {"dot", "both", "either", "min", "max", "minimum", "maximum", "isinstance", "add", "hypot", "equal", "zip"}
 SELECTION = ["-m", "not slow and not documents", "-q", "-p", "no:cacheprovider", "-p", "planted_faults"]
+IMPORTED = (
+    "numpy",
+    "scipy.optimize",
+    "scipy.spatial",
+    "numba",
+    "casadi",
+    "pinocchio",
+    "hypothesis",
+    "mpmath",
+    "mujoco",
+)
+"""Packages that take long to import and are imported once."""
 LIMIT = "PLANTED_FAULTS_LIMIT"
 """Environment variable with the time [s] of the processor that a test may take."""
 
@@ -70,17 +84,14 @@ def pytest_runtest_protocol() -> Iterator[None]:
         signal.setitimer(signal.ITIMER_PROF, 0)
 
 
-_times: dict[str, float] = collections.defaultdict(float)
-"""How long each test takes [s], infinite if it does not pass."""
-
-
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
-    _times[report.nodeid] += report.duration if report.outcome == "passed" else float("inf")
-
-
-def pytest_sessionfinish(session: pytest.Session) -> None:
-    if "--cov" in session.config.invocation_params.args and not hasattr(session.config, "workerinput"):
-        Path("times.json").write_text(json.dumps(_times))
+    """Write down which blocks ran since the last report, in the copy where they are marked."""
+    ran = getattr(sys.modules.get("blocks_that_ran"), "ran", None)
+    if ran is not None and (worker := os.environ.get("PYTEST_XDIST_WORKER")):
+        row = [report.nodeid, report.when, report.duration, report.outcome == "passed", sorted(ran)]
+        ran.clear()
+        with Path(f"ran-{worker}.jsonl").open("a") as file:
+            file.write(json.dumps(row) + "\n")
 
 
 # Faults
@@ -174,144 +185,198 @@ def sample(number: int, seed: int) -> list[dict[str, Any]]:
 # Tests
 
 
-def run_pytest(tree: Path, *arguments: str, limit: float, seconds: float | None = None, compiled: bool = False) -> int:
+def run_pytest(tree: Path, *arguments: str, limit: float, seconds: float | None = None) -> int:
     """Run pytest in a copy of the tree and return its exit code; 1 if it takes longer than so many seconds."""
-    environment = os.environ | {"PYTHONPATH": f"{tree}:{tree / 'scripts'}", LIMIT: str(limit)}
-    if not compiled:
-        environment |= {"SPM_PIN_KERNELS": "interpreted", "NUMBA_DISABLE_JIT": "1"}
-    command = [sys.executable, "-m", "pytest", *SELECTION, *arguments]
+    process = multiprocessing.get_context("fork").Process(target=_pytest_in, args=(tree, limit, *arguments))
+    process.start()
+    process.join(seconds)
+    if process.is_alive():
+        os.killpg(process.pid, signal.SIGKILL)  # compilers and servers that the tests have started, too
+        process.join()
+    return process.exitcode or 0
+
+
+def _pytest_in(tree: Path, limit: float, *arguments: str) -> None:
+    """Run pytest in this process, forked with the packages imported that most tests need."""
+    os.setsid()
+    os.chdir(tree)
     with (tree / "pytest.log").open("w") as log:
-        process = subprocess.Popen(
-            command, cwd=tree, env=environment, stdout=log, stderr=log, start_new_session=True, stdin=subprocess.DEVNULL
-        )
-        try:
-            return process.wait(seconds)
-        except subprocess.TimeoutExpired:
-            return 1
-        finally:
-            if process.poll() is None:
-                os.killpg(process.pid, signal.SIGKILL)
-                process.wait()
+        os.dup2(log.fileno(), 1)
+        os.dup2(log.fileno(), 2)
+    os.environ |= {"PYTHONPATH": f"{tree}:{tree / 'scripts'}", LIMIT: str(limit)}
+    sys.path[:0] = [str(tree), str(tree / "scripts")]
+    code = pytest.main([*SELECTION, *arguments])
+    sys.stdout.flush()
+    os._exit(code)
 
 
 def copy_tree(to: Path) -> Path:
+    """Return a new copy of the working tree."""
     shutil.rmtree(to, ignore_errors=True)
     ignored = shutil.ignore_patterns(".git", ".venv", "build", "dist", ".*_cache", "__pycache__", ".hypothesis")
     return Path(shutil.copytree(ROOT, to, ignore=ignored, symlinks=True))
 
 
-def make_map(folder: Path, workers: int) -> None:
-    """Run all tests once and keep which run which lines, and how long they take."""
-    from coverage import CoverageData
+def mark_blocks(path: Path, first: int) -> list[tuple[int, int]]:
+    """Let each block of statements in a file's functions note that it runs, and return their first and last lines."""
+    tree = ast.parse(path.read_bytes())
+    blocks: list[tuple[int, int]] = []
+    functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
+    for node in dict.fromkeys(node for function in functions for node in ast.walk(function)):
+        for block in (getattr(node, field, None) for field in ("body", "orelse", "finalbody")):
+            if isinstance(block, list) and block and not isinstance(node, ast.ClassDef):
+                blocks.append((block[0].lineno, block[-1].end_lineno))
+                has_docstring = node in functions and ast.get_docstring(node, clean=False) is not None
+                block.insert(int(has_docstring), ast.parse(f"_ran({first + len(blocks) - 1})").body[0])
+    at = next((i + 1 for i, node in enumerate(tree.body) if getattr(node, "module", "") == "__future__"), 0)
+    tree.body.insert(at, ast.parse("from blocks_that_ran import add as _ran").body[0])
+    path.write_text(ast.unparse(tree))
+    return blocks
 
+
+def make_map(folder: Path, workers: int, tests: list[str]) -> None:
+    """Run the tests once and keep which blocks they run, and how long they take."""
     tree = copy_tree(folder / "tree")
-    (tree / "coverage.ini").write_text("[run]\nsource_pkgs = spm_pin\n")
-    options = ["--cov", "--cov-config=coverage.ini", "--cov-context=test", "--cov-report=", "-n", str(workers)]
-    run_pytest(tree, *options, limit=8)
-    times = json.loads((tree / "times.json").read_text())
-    passing = {test: time for test, time in sorted(times.items(), key=lambda item: item[1]) if time < 60}
-    of_file = collections.defaultdict(list)
-    for test in passing:
-        of_file[test.partition("::")[0]].append(test)
-    data = CoverageData(str(tree / ".coverage"))
-    data.read()
-    lines: dict[str, dict[int, list[str]]] = {}
-    for file in data.measured_files():
-        of_lines = lines[str(Path(file).relative_to(tree))] = {}
-        for line, contexts in data.contexts_by_lineno(file).items():
-            tests: set[str] = set()
-            for test, _, when in (context.rpartition("|") for context in contexts):
-                # What a fixture of a file runs is put down to the first of the tests that share it.
-                tests.update([test] if when == "run" else of_file[test.partition("::")[0]])
-            of_lines[line] = [test for test in passing if test in tests]
-    (folder / "map.json").write_text(json.dumps(lines))
+    (tree / "blocks_that_ran.py").write_text("ran = set()\nadd = ran.add\n")
+    blocks: list[tuple[str, int, int]] = []
+    for path in sorted((tree / "spm_pin").rglob("*.py")):
+        blocks += [(str(path.relative_to(tree)), *lines) for lines in mark_blocks(path, len(blocks))]
+    (folder / "blocks.json").write_text(json.dumps(blocks))
+    run_pytest(tree, "-n", str(workers), "--dist", "worksteal", *tests, limit=4)
 
 
-def tests_of(fault: dict[str, Any], lines: dict[str, dict[str, list[str]]]) -> tuple[list[str], list[str]]:
-    """Return some tests which run the line of a fault, the quickest of different functions, and all that may catch it."""
-    of_file = lines.get(fault["file"], {})
-    first = of_file.get(str(fault["line"]), [])
-    counts: collections.Counter[str] = collections.Counter()
-    few = []
-    for test in first:
-        name = test.partition("[")[0]
-        counts[name] += 1
-        if counts[name] <= 3 and len(few) < 40:
-            few.append(test)
-    others = dict.fromkeys(test for tests in of_file.values() for test in tests)
-    return few, [test for test in dict.fromkeys([*first, *others]) if test not in few]
+class Map:
+    """The tests that ran each block, the quickest first."""
+
+    def __init__(self, folder: Path) -> None:
+        self.blocks = json.loads((folder / "blocks.json").read_text())
+        self.seconds: dict[str, float] = collections.defaultdict(float)
+        of_block: dict[int, set[str]] = collections.defaultdict(set)
+        of_file: dict[str, list[str]] = collections.defaultdict(list)
+        shared: list[tuple[str, list[int]]] = []
+        for path in (folder / "tree").glob("ran-*.jsonl"):
+            for test, when, seconds, passed, ran in map(json.loads, path.open()):
+                self.seconds[test] += seconds if passed else float("inf")
+                if when == "setup":  # what a fixture of a file runs is put down to the first of the tests that share it
+                    of_file[test.partition("::")[0]].append(test)
+                    shared.append((test, ran))
+                for block in ran:
+                    of_block[block].add(test)
+        for test, ran in shared:
+            for block in ran:
+                of_block[block].update(of_file[test.partition("::")[0]])
+        self.of_block = of_block
+
+    def tests(self, fault: dict[str, Any]) -> tuple[list[str], list[str]]:
+        """Return some tests that run the block of a fault, the quickest of different functions, and all others."""
+        own = {i: block for i, block in enumerate(self.blocks) if block[0] == fault["file"]}
+        around = [i for i, (_, first, last) in own.items() if first <= fault["line"] <= last]
+        block = min(around, key=lambda i: own[i][2] - own[i][1], default=-1)
+        direct = self._sorted(self.of_block[block])
+        counts: collections.Counter[str] = collections.Counter()
+        few = []
+        for test in direct:
+            counts[test.partition("[")[0]] += 1
+            if counts[test.partition("[")[0]] <= 3 and len(few) < 40:
+                few.append(test)
+        others = self._sorted(set().union(*(self.of_block[i] for i in own)))
+        return few, [test for test in dict.fromkeys([*direct, *others]) if test not in few]
+
+    def _sorted(self, tests: set[str]) -> list[str]:
+        return sorted((t for t in tests if self.seconds[t] < 60), key=lambda t: (self.seconds[t], t))
 
 
-def is_caught(fault: dict[str, Any], tree: Path, lines: Any, seconds: float, compiled: bool) -> str:
-    """Plant a fault in a copy of the tree, run its tests and return the one that fails, or ''."""
+def is_caught(fault: dict[str, Any], tree: Path, tests_of: Map, seconds: float) -> str | None:
+    """Plant a fault in a copy of the tree and return the test that fails, '' if none does, None if there is none."""
     path = tree / fault["file"]
     source = path.read_bytes()
     at, old = fault["at"], fault["old"].encode()
-    assert source[at : at + len(old)] == old, fault
+    if source[at : at + len(old)] != old:
+        raise RuntimeError(f"the tree has changed: {describe(fault)}")
     cached = Path(cache_from_source(str(path)))
+    first, others = tests_of.tests(fault)
     try:
         path.write_bytes(source[:at] + fault["new"].encode() + source[at + len(old) :])
         cached.unlink(missing_ok=True)
-        for tests in tests_of(fault, lines):
+        for tests in filter(None, (first, others)):
             (tree / "tests.txt").write_text("".join(f"{test}\n" for test in tests))
-            if not tests or not run_pytest(tree, "-x", "@tests.txt", limit=30, seconds=seconds, compiled=compiled):
-                continue
-            log = (tree / "pytest.log").read_text()
-            return next((line for line in log.splitlines() if line.startswith(("FAILED", "ERROR"))), "takes too long")
-        return ""
+            if run_pytest(tree, "-x", "@tests.txt", limit=30, seconds=seconds):
+                log = (tree / "pytest.log").read_text()
+                if "ERROR: not found" in log:
+                    raise RuntimeError(f"other tests than when the map was made: {log[-500:]}")
+                return next((line for line in log.splitlines() if line.startswith(("FAILED", "ERROR"))), "no end")
+        return "" if first or others else None
     finally:
         path.write_bytes(source)
         cached.unlink(missing_ok=True)
 
 
+def run(faults: list[dict[str, Any]], options: argparse.Namespace) -> None:
+    """Plant faults and append each result to the file of results."""
+    tests_of = Map(options.folder)
+    trees = [copy_tree(options.folder / f"tree{i}") for i in range(options.workers)]
+    for package in IMPORTED:
+        with contextlib.suppress(ImportError):
+            import_module(package)
+
+    def plant(fault: dict[str, Any]) -> None:
+        tree = trees.pop()
+        try:
+            caught = is_caught(fault, tree, tests_of, options.seconds)
+        finally:
+            trees.append(tree)
+        fault = fault | {"caught": caught}
+        print(describe(fault), flush=True)
+        if caught is not None:
+            with (options.folder / "results.jsonl").open("a") as output:
+                output.write(json.dumps(fault) + "\n")
+
+    with concurrent.futures.ThreadPoolExecutor(options.workers) as pool:
+        list(pool.map(plant, faults))
+
+
 def main() -> None:
+    """Run one step of the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("step", choices=["map", "run", "list"])
+    parser.add_argument("tests", nargs="*", help="what to map: folders and files of tests; without any, all")
     parser.add_argument("--number", type=int, default=240, help="faults, an equal share in each group")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--seconds", type=float, default=300, help="the longest time for one fault")
     parser.add_argument("--folder", type=Path, default=ROOT / "build/faults", help="where copies and results are kept")
-    parser.add_argument("--compiled", action="store_true", help="test the survivors again, with compiled kernels")
+    parser.add_argument("--compiled", action="store_true", help="with compiled kernels: for the last survivors")
+    parser.add_argument("--survivors", action="store_true", help="plant those again that survived")
     options = parser.parse_args()
-    results = options.folder / "results.jsonl"
+    options.folder = options.folder.resolve()
+    options.folder.mkdir(parents=True, exist_ok=True)
+    if not options.compiled:
+        os.environ |= {"SPM_PIN_KERNELS": "interpreted", "NUMBA_DISABLE_JIT": "1"}
     if options.step == "map":
-        options.folder.mkdir(parents=True, exist_ok=True)
-        return make_map(options.folder, options.workers)
-    known = [json.loads(line) for line in results.read_text().splitlines()] if results.exists() else []
-    caught = {(fault["file"], fault["at"], fault["new"]): fault["caught"] for fault in known}
+        return make_map(options.folder, options.workers, options.tests)
+    results = options.folder / "results.jsonl"
+    known = {key(fault): fault for fault in map(json.loads, results.open() if results.exists() else ())}
     faults = sample(options.number, options.seed)
-    keys = [(fault["file"], fault["at"], fault["new"]) for fault in faults]
     if options.step == "run":
-        lines = json.loads((options.folder / "map.json").read_text())
-        trees = [copy_tree(options.folder / f"tree{i}") for i in range(options.workers)]
-        again = options.compiled
-        left = [f for f, key in zip(faults, keys, strict=True) if (not caught.get(key, again) if again else key not in caught)]
-        with concurrent.futures.ThreadPoolExecutor(options.workers) as pool, results.open("a") as output:
-
-            def run(fault: dict[str, Any]) -> None:
-                tree = trees.pop()
-                try:
-                    fault["caught"] = is_caught(fault, tree, lines, options.seconds, again)
-                finally:
-                    trees.append(tree)
-                output.write(json.dumps(fault) + "\n")
-                output.flush()
-                print(describe(fault), flush=True)
-
-            list(pool.map(run, left))
-    else:
-        ran = [fault | {"caught": caught[key]} for fault, key in zip(faults, keys, strict=True) if key in caught]
-        for fault in ran:
-            if not fault["caught"]:
-                print(describe(fault))
-        print(f"{sum(bool(fault['caught']) for fault in ran)} of {len(ran)} faults are caught")
+        survivors = [fault for fault in faults if not known.get(key(fault), {"caught": True})["caught"]]
+        return run(survivors if options.survivors else [f for f in faults if key(f) not in known], options)
+    ran = [known[key(fault)] for fault in faults if key(fault) in known]
+    for fault in ran:
+        if not fault["caught"]:
+            print(describe(fault))
+    print(f"{sum(bool(fault['caught']) for fault in ran)} of {len(ran)} faults are caught")
     return None
 
 
+def key(fault: dict[str, Any]) -> tuple[Any, ...]:
+    """Return what tells a fault from all others."""
+    return fault["file"], fault["at"], fault["new"]
+
+
 def describe(fault: dict[str, Any]) -> str:
+    """Return a line about a fault."""
     place = f"{fault['file']}:{fault['line']}: {fault['kind']} {fault['old']!r} -> {fault['new']!r}"
-    return f"{place}  {fault['caught'] or 'SURVIVES'}"
+    return f"{place}  {fault.get('caught') or 'SURVIVES'}"
 
 
 if __name__ == "__main__":
