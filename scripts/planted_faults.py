@@ -186,7 +186,7 @@ def sample(number: int, seed: int) -> list[dict[str, Any]]:
 
 
 def run_pytest(tree: Path, *arguments: str, limit: float, seconds: float | None = None) -> int:
-    """Run pytest in a copy of the tree and return its exit code; 1 if it takes longer than so many seconds."""
+    """Run pytest in a copy of the tree and return its exit code, negative if it takes longer than so many seconds."""
     process = multiprocessing.get_context("fork").Process(target=_pytest_in, args=(tree, limit, *arguments))
     process.start()
     process.join(seconds)
@@ -300,11 +300,15 @@ def is_caught(fault: dict[str, Any], tree: Path, tests_of: Map, seconds: float) 
         cached.unlink(missing_ok=True)
         for tests in filter(None, (first, others)):
             (tree / "tests.txt").write_text("".join(f"{test}\n" for test in tests))
-            if run_pytest(tree, "-x", "@tests.txt", limit=30, seconds=seconds):
-                log = (tree / "pytest.log").read_text()
-                if "ERROR: not found" in log:
-                    raise RuntimeError(f"other tests than when the map was made: {log[-500:]}")
-                return next((line for line in log.splitlines() if line.startswith(("FAILED", "ERROR"))), "no end")
+            code = run_pytest(tree, "-x", "@tests.txt", limit=30, seconds=seconds)
+            log = (tree / "pytest.log").read_text()
+            if code < 0:
+                return "no end"
+            failed = [line for line in log.splitlines() if line.startswith(("FAILED", "ERROR", "ImportError while"))]
+            if code and (not failed or "ERROR: not found" in log):
+                raise RuntimeError(f"no test of the map has been run: {log[-500:]}")
+            if code:
+                return failed[0]
         return "" if first or others else None
     finally:
         path.write_bytes(source)
