@@ -54,6 +54,7 @@ SWAPS = {
 }  # fmt: skip
 SYMMETRIC = {"dot", "both", "either", "min", "max", "minimum", "maximum", "isinstance", "add", "hypot", "equal", "zip"}
 SELECTION = ["-m", "not slow and not documents", "-q", "-p", "no:cacheprovider", "-p", "planted_faults"]
+SELECTION += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]  # of what is imported before the fork
 IMPORTED = (
     "numpy",
     "scipy.optimize",
@@ -90,7 +91,7 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
     if ran is not None and (worker := os.environ.get("PYTEST_XDIST_WORKER")):
         row = [report.nodeid, report.when, report.duration, report.outcome == "passed", sorted(ran)]
         ran.clear()
-        with Path(f"ran-{worker}.jsonl").open("a") as file:
+        with Path(f"../ran-{worker}.jsonl").open("a") as file:
             file.write(json.dumps(row) + "\n")
 
 
@@ -254,7 +255,7 @@ class Map:
         of_block: dict[int, set[str]] = collections.defaultdict(set)
         of_file: dict[str, list[str]] = collections.defaultdict(list)
         shared: list[tuple[str, list[int]]] = []
-        for path in (folder / "tree").glob("ran-*.jsonl"):
+        for path in folder.glob("ran-*.jsonl"):
             for test, when, seconds, passed, ran in map(json.loads, path.open()):
                 self.seconds[test] += seconds if passed else float("inf")
                 if when == "setup":  # what a fixture of a file runs is put down to the first of the tests that share it
@@ -355,7 +356,7 @@ def main() -> None:
     options.folder = options.folder.resolve()
     options.folder.mkdir(parents=True, exist_ok=True)
     if not options.compiled:
-        os.environ |= {"SPM_PIN_KERNELS": "interpreted", "NUMBA_DISABLE_JIT": "1"}
+        os.environ |= {"SPM_PIN_THREADS": "1", "SPM_PIN_KERNELS": "interpreted", "NUMBA_DISABLE_JIT": "1"}
     if options.step == "map":
         return make_map(options.folder, options.workers, options.tests)
     results = options.folder / "results.jsonl"
