@@ -1,13 +1,14 @@
 """Plant faults in the package, one at a time, and count how many of them the tests catch.
 
     python scripts/planted_faults.py map     # once, an hour: which tests run which lines, and how long they take
-    python scripts/planted_faults.py run     # two hours; interrupted, it goes on where it was
+    python scripts/planted_faults.py run     # with a few tests each; interrupted, it goes on where it was
+    python scripts/planted_faults.py run --survivors    # those again that survived, with all their tests
     python scripts/planted_faults.py list    # what survived
 
 A fault is a changed sign, index, constant or comparison, two arguments in the wrong order or a copy not made. The
 same seed plants the same faults, an equal number in each group of files. Everything happens in copies of the tree and
 without compiling: interpreted kernels give the same bits. A fault is caught if a test fails of those that run its block
-of statements, the quickest first, and then of those that run anything in its file. Numbers below 1e-4 are left alone:
+of statements, at first up to 40 quick ones, and then of all that run anything in its file. Numbers below 1e-4 are left alone:
 they are tolerances, whose double is no fault. Tests that fail or take long without a compiler do not count, so a
 survivor may still be caught by `make test`: `run --survivors --compiled` plants it again with one.
 
@@ -204,7 +205,7 @@ def _pytest_in(tree: Path, limit: float, *arguments: str) -> None:
     with (tree / "pytest.log").open("w") as log:
         os.dup2(log.fileno(), 1)
         os.dup2(log.fileno(), 2)
-    os.environ |= {"PYTHONPATH": f"{tree}:{tree / 'scripts'}", LIMIT: str(limit)}
+    os.environ |= {"PYTHONPATH": f"{tree}:{tree / 'scripts'}", LIMIT: str(limit), "COLUMNS": "300"}
     sys.path[:0] = [str(tree), str(tree / "scripts")]
     code = pytest.main([*SELECTION, *arguments])
     sys.stdout.flush()
@@ -287,33 +288,27 @@ class Map:
         return sorted((t for t in tests if self.seconds[t] < 60), key=lambda t: (self.seconds[t], t))
 
 
-def is_caught(fault: dict[str, Any], tree: Path, tests_of: Map, seconds: float) -> str | None:
-    """Plant a fault in a copy of the tree and return the test that fails, '' if none does, None if there is none."""
+def is_caught(fault: dict[str, Any], tree: Path, tests: list[str], seconds: float) -> str:
+    """Plant a fault in a copy of the tree and return the test that fails, or ''."""
     path = tree / fault["file"]
     source = path.read_bytes()
     at, old = fault["at"], fault["old"].encode()
     if source[at : at + len(old)] != old:
         raise RuntimeError(f"the tree has changed: {describe(fault)}")
     cached = Path(cache_from_source(str(path)))
-    first, others = tests_of.tests(fault)
+    (tree / "tests.txt").write_text("".join(f"{test}\n" for test in tests))
     try:
         path.write_bytes(source[:at] + fault["new"].encode() + source[at + len(old) :])
         cached.unlink(missing_ok=True)
-        for tests in filter(None, (first, others)):
-            (tree / "tests.txt").write_text("".join(f"{test}\n" for test in tests))
-            code = run_pytest(tree, "-x", "@tests.txt", limit=30, seconds=seconds)
-            log = (tree / "pytest.log").read_text()
-            if code < 0:
-                return "no end"
-            failed = [line for line in log.splitlines() if line.startswith(("FAILED", "ERROR", "ImportError while"))]
-            if code and (not failed or "ERROR: not found" in log):
-                raise RuntimeError(f"no test of the map has been run: {log[-500:]}")
-            if code:
-                return failed[0]
-        return "" if first or others else None
+        code = run_pytest(tree, "-x", "@tests.txt", limit=30, seconds=seconds)
     finally:
         path.write_bytes(source)
         cached.unlink(missing_ok=True)
+    log = (tree / "pytest.log").read_text()
+    failed = [line for line in log.splitlines() if line.startswith(("FAILED", "ERROR", "ImportError while"))]
+    if code > 0 and (not failed or "ERROR: not found" in log):
+        raise RuntimeError(f"no test of the map has been run: {log[-500:]}")
+    return "" if not code else failed[0] if code > 0 else "no end"
 
 
 def run(faults: list[dict[str, Any]], options: argparse.Namespace) -> None:
@@ -325,16 +320,19 @@ def run(faults: list[dict[str, Any]], options: argparse.Namespace) -> None:
             import_module(package)
 
     def plant(fault: dict[str, Any]) -> None:
+        few, others = tests_of.tests(fault)
+        tests = few + others if options.survivors else few or others[:100]
+        if not tests:
+            print(f"no test runs {fault['file']}:{fault['line']}", flush=True)
+            return
         tree = trees.pop()
         try:
-            caught = is_caught(fault, tree, tests_of, options.seconds)
+            fault = fault | {"caught": is_caught(fault, tree, tests, options.seconds)}
         finally:
             trees.append(tree)
-        fault = fault | {"caught": caught}
         print(describe(fault), flush=True)
-        if caught is not None:
-            with (options.folder / "results.jsonl").open("a") as output:
-                output.write(json.dumps(fault) + "\n")
+        with (options.folder / "results.jsonl").open("a") as output:
+            output.write(json.dumps(fault) + "\n")
 
     with concurrent.futures.ThreadPoolExecutor(options.workers) as pool:
         list(pool.map(plant, faults))
@@ -351,7 +349,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=300, help="the longest time for one fault")
     parser.add_argument("--folder", type=Path, default=ROOT / "build/faults", help="where copies and results are kept")
     parser.add_argument("--compiled", action="store_true", help="with compiled kernels: for the last survivors")
-    parser.add_argument("--survivors", action="store_true", help="plant those again that survived")
+    parser.add_argument("--survivors", action="store_true", help="plant those again, with all tests of their files")
     options = parser.parse_args()
     options.folder = options.folder.resolve()
     options.folder.mkdir(parents=True, exist_ok=True)
