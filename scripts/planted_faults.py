@@ -8,8 +8,8 @@
 A fault is a changed sign, index, constant or comparison, two arguments in the wrong order or a copy not made. The
 same seed plants the same faults, an equal number in each group of files. Everything happens in copies of the tree and
 without compiling: interpreted kernels give the same bits. A fault is caught if a test fails of those that run its block
-of statements, at first up to 40 quick ones, and then of all that run anything in its file. Numbers below 1e-4 are left alone:
-they are tolerances, whose double is no fault. Tests that fail or take long without a compiler do not count, so a
+of statements, at first up to 40 quick ones, and then of all that run anything in its file. Numbers below 1e-4 are left
+alone: they are tolerances, whose double is no fault. Tests that fail or take long without a compiler do not count, so a
 survivor may still be caught by `make test`: `run --survivors --compiled` plants it again with one.
 
 mutmut and cosmic-ray run all tests of a module for each of all faults, which takes days here; mutmut moreover puts a
