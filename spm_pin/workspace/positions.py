@@ -275,6 +275,8 @@ def pose_volume(
     states, rng = states_within(machine, limits), generator(rng)
     (lower, first), (upper, second) = (states.draw_stages(stage, count, rng) for stage in range(2))
     number = min(len(lower), len(upper))
+    if number < 2:
+        raise ArgumentError("limits", "limits within which states are not too rare to be drawn", f"{number} of {count}")
     coordinates = np.stack([lower[:number], upper[:number]], axis=1)
     values, method = pose_densities(states, coordinates), "change of variables from coordinates of the stages"
     unseen = None
