@@ -20,14 +20,16 @@ HEIGHTS = {"RPS": 1.1, "PRS radial": 0.3, "RRS": 0.12, "RRS inwards": 0.12}
 """At which they stand well; of the others 0.5 m."""
 STEP = 1e-6
 """Of differences [m, rad]."""
-MACHINES = {f"{name}{built}": (name, bool(built)) for name in STAGES for built in ("", " as built")}
+MACHINES = ("RPS", "PRS inclined", "RRS", "RPS as built", "PRS hanging as built", "RRS inwards as built")
+"""Each kind of legs, nominal and with errors; knees of both signs, slides of several directions."""
 
 
 def stage_and_height(machine: str) -> tuple[spm.Stage, float]:
-    """Return one of `MACHINES` and a height at which it stands well."""
-    name, built = MACHINES[machine]
+    """Return a stage, with errors if its name ends with "as built", and a height at which it stands well."""
+    name = machine.removesuffix(" as built")
     stage = STAGES[name]
-    return stage.perturbed(3, length=5e-3 * stage.size, angle=5e-3) if built else stage, HEIGHTS.get(name, 0.5)
+    built = stage.perturbed(3, length=5e-3 * stage.size, angle=5e-3)
+    return built if name != machine else stage, HEIGHTS.get(name, 0.5)
 
 
 def requests(height: float, count: int, seed: int = 0) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:

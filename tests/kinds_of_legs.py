@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 from problems import PAPER
 
@@ -17,7 +15,8 @@ KINDS_OF_STAGES = {
     "RRS": RRS(crank=1.1, rod=0.9),
     "PRS hanging": PRS(rod=1.6, direction=1.3, sign=1),
 }
-PAIRS = list(itertools.product(KINDS_OF_STAGES, repeat=2))
+PAIRS = [("RPS", "RPS"), ("RPS", "PRS"), ("PRS", "RRS"), ("RRS", "PRS hanging"), ("PRS hanging", "RPS")]
+"""Each of them once below and once above another, and twice the same."""
 EACH_KIND = [("RPS", "PRS"), ("PRS", "RRS"), ("RRS", "RPS")]
 """Each kind once below and once above."""
 

@@ -255,11 +255,11 @@ class TiltRequest(Request):
 
     def nearest(self) -> tuple[Any, str, float] | None:
         """Return the nearest tilt, rounded to a reachable one; of several, one with less tilt."""
-        from spm_pin.stages import nearest_reachable
+        from spm_pin.workspace import nearest_reachable_pose
 
         unit = self.typed.unit
         with self._named():
-            nearest = nearest_reachable(self.typed.machine, **self.arguments)
+            nearest = nearest_reachable_pose(self.typed.machine, **self.arguments).configuration
         if not nearest.exists:
             return None
         tilt = max(math.floor(1e3 * math.degrees(nearest.tilt) - 0.1) / 1e3, 0.0)

@@ -275,6 +275,10 @@ def pose_volume(
     states, rng = states_within(machine, limits), generator(rng)
     drawn = [states.draw_stages(stage, count, rng) for stage in range(len(states.aspects))]
     number = min(len(coordinates) for coordinates, _ in drawn)
+    if number < 2:
+        raise ArgumentError(
+            "limits", "limits that enough random states are within", f"limits that {number} of {count} are within"
+        )
     coordinates = np.stack([coordinates[:number] for coordinates, _ in drawn], axis=1)
     values, method = states.densities(coordinates), "change of variables from coordinates of the stages"
     unseen = None

@@ -93,6 +93,12 @@ def test_trees_of_published_robots_are_pinocchios(path: str) -> None:
     assert_same_tree(read_urdf(file).model, pin.buildModelFromUrdf(str(file)))
 
 
+def test_a_joint_without_axis_and_limits_has_the_defaults_of_urdf() -> None:
+    joint = '<parent link="a"/><child link="b"/><limit effort="3" velocity="4"/>'
+    text = f'<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="revolute">{joint}</joint></robot>'
+    assert_same_tree(read_urdf(text).model, pin.buildModelFromXML(text))
+
+
 def test_loops_of_this_robot_are_read_from_its_yaml_and_from_drakes_tags() -> None:
     by_yaml, by_tags = read_urdf(URDF_PATH, CLOSURES_PATH), read_urdf(URDF_PATH)
     assert (
