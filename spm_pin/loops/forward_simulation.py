@@ -24,7 +24,6 @@ from scipy.optimize import brentq
 
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
 from spm_pin.loops.loop_state import LoopState
-from spm_pin.loops.point_dynamics import PointDynamics
 from spm_pin.loops.state_kinematics import frame_index, largest, read_vectors
 from spm_pin.support.arguments import FloatArray, Progress, real_array, real_number
 from spm_pin.support.progress import shown_progress
@@ -225,11 +224,7 @@ class _Run:
         self._chain, self._kinematics = chain, state.kinematics
         self._kinematics.rank = state.kinematics.space.rank
         self._are_independent = self._kinematics.rank == len(self._kinematics.labels)
-        self._points: PointDynamics | None = None
-        are_points = all(closure.kind == "point" for closure in chain.closures)
-        if self._are_independent and are_points and len(self._kinematics.labels) == 3 * len(chain.closures):
-            places = zip(chain.rows.joints, chain.rows.placements, strict=True)
-            self._points = PointDynamics(chain.model, ((i, at_i, j, at_j) for (i, j), (at_i, at_j) in places))
+        self._points = state.kinematics.point_dynamics if self._are_independent else None
         self._loads, self._events, self._tolerance = loads, events, tolerance
         self._least_sigma = min(LEAST_CONSTRAINED, LEAST_SHARE * state.kinematics.space.sigma)
         self.detail = ""

@@ -28,8 +28,6 @@ from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import physical_at_poses
 from spm_pin.loops.batched_state import at_index
 from spm_pin.loops.closed_chain import ClosedChain as LoopChain
-from spm_pin.loops.closures import Anchor
-from spm_pin.loops.closures import Closure as LoopClosure
 from spm_pin.machine.configuration import Configuration
 from spm_pin.machine.joint_angles import check_state, joint_angles, value_names
 from spm_pin.machine.legs import check_path_readings
@@ -146,11 +144,10 @@ class ClosedChain:
         """Return the indices in q (n,) of joints named as in the URDF; raise `ArgumentError` for an unknown name."""
         return self._constrained.joint_indices(*names)
 
-    @cached_property
+    @property
     def loops(self) -> LoopChain:
         """The same chain in `spm_pin.loops`, for functions of any closed chain: mobility, forces of closures."""
-        closures = [LoopClosure("point", Anchor(c.frame_a), Anchor(c.frame_b), c.name) for c in self.closures]
-        return LoopChain(self.model, closures, [self.joint_names[k] for k in self.leg_indices])
+        return self._constrained.loops
 
     @cached_property
     def visual_model(self) -> Any:

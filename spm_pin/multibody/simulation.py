@@ -135,7 +135,7 @@ def run_simulation(
     gaps = []
     for joints in motion.q:
         kinematics.evaluate(joints)
-        gaps.append(kinematics.widest_gap)
+        gaps.append(np.linalg.norm(kinematics.gaps(), axis=-1).max())
     end, detail = SimulationEnd.COMPLETE, motion.detail
     if motion.end is forward_simulation.SimulationEnd.STALLED:
         end = SimulationEnd.STALLED
