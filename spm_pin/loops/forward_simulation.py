@@ -25,7 +25,7 @@ from scipy.optimize import brentq
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
 from spm_pin.loops.loop_state import LoopState
 from spm_pin.loops.state_kinematics import frame_index, largest, read_vectors
-from spm_pin.support.arguments import FloatArray, Progress, real_array, real_number
+from spm_pin.support.arguments import FloatArray, Progress, check_function, real_array, real_number
 from spm_pin.support.progress import shown_progress
 
 Force = npt.ArrayLike | Callable[[float, FloatArray, FloatArray], npt.ArrayLike] | None
@@ -158,6 +158,8 @@ def simulate(
         if not (given is None or isinstance(given, Mapping)):
             expected = "a mapping, of names of frames to wrenches or of events to functions of q"
             raise ArgumentError(name, expected, type(given).__name__)
+    for name, function in (events or {}).items():
+        check_function(function, f"events[{name!r}]", "q")
     loads = {} if wrenches is None else {k: _as_function(w, f"wrenches[{k!r}]", 6) for k, w in wrenches.items()}
     report = shown_progress(progress)
     placed = {frame_index(chain.model, name): load for name, load in loads.items()}
@@ -196,6 +198,7 @@ def _as_function(force: Force, argument: str, size: int) -> Callable[[float, Flo
         return array
 
     if callable(force):
+        check_function(force, argument, "t", "q", "v")
         # Copies: the function may change them.
         return lambda t, q, v: read(force(t, q.copy(), v.copy()))
     value = read(np.zeros(size) if force is None else force)

@@ -41,7 +41,14 @@ from spm_pin.multibody.constrained_model import AGREEMENT, ConstrainedModel, Tre
 from spm_pin.multibody.mounting import MountedChain, mount
 from spm_pin.multibody.simulation import ForceFunction, Simulation, run_simulation
 from spm_pin.multibody.trajectory import JointTrajectory, PlatformMotion, PlatformPath, increasing_times, read_motion
-from spm_pin.support.arguments import FloatArray, IntArray, broadcastable, check_instance, first_offender
+from spm_pin.support.arguments import (
+    FloatArray,
+    IntArray,
+    broadcastable,
+    check_function,
+    check_instance,
+    first_offender,
+)
 from spm_pin.support.files import file_path
 from spm_pin.support.pose import PoseLike, as_rigid_transform
 
@@ -74,6 +81,10 @@ class ClosedChain:
         Names of the joints in the order of q.
     leg_indices : ndarray, shape (n,)
         Indices of the joints in q that the actuators move, in the order of the legs.
+
+    See Also
+    --------
+    spm_pin.loops.ClosedChain : Any robot with closed loops; `loops` is this machine as one.
     """
 
     def __init__(self, urdf: str, machine: Manipulator | Stage, prefix: str = "") -> None:
@@ -331,8 +342,7 @@ class ClosedChain:
         of the time, and `UnreachableError` where a leg is beyond the limits of the machine.
         """
         q, t = self._constrained.read_q(near, "near", single=True), increasing_times(times)
-        if not callable(path):
-            raise ArgumentError("path", "a PlatformPath or another function of time", type(path).__name__)
+        check_function(path, "path", "t", meaning=", such as a PlatformPath")
         state, rows = self.state(q), []
         state.kinematics.check_closed()
         # All at once where that is known to be allowed.

@@ -207,6 +207,21 @@ def test_errors_of_callables_reach_the_caller() -> None:
             chain().simulate(reference(), np.zeros(18), times=[0.0, 1.0], **given)
 
 
+@pytest.mark.parametrize(
+    ("argument", "given"),
+    [
+        ("forces", {"forces": lambda t: np.zeros(6)}),
+        ("forces", {"forces": lambda: np.zeros(6), "period": 0.1}),
+        ("wrench", {"forces": None, "wrench": lambda t, q: np.zeros(6)}),
+    ],
+)
+def test_functions_of_other_arguments_are_refused(argument: str, given: dict[str, Any]) -> None:
+    with pytest.raises(ArgumentError) as caught:
+        chain().simulate(reference(), np.zeros(18), times=[0.0, 1.0], **given)
+    assert caught.value.argument == argument
+    assert caught.value.expected == "a function of t, q, v"
+
+
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("begin", [0.0, 1.0])
 @pytest.mark.parametrize("size", [1e30, 1e99, 1e200, 1e308])
