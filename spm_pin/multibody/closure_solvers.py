@@ -87,7 +87,7 @@ def follow_legs(kinematics: TreeKinematics, q: FloatArray, readings: FloatArray)
         return np.concatenate([missing, gap]), lambda: kinematics.velocities_of_legs(missing, -gap)
 
     cause = "a forward singularity, or the end of this assembly mode?"
-    return _follow(kinematics, q, equations, lambda: kinematics.determinant(kinematics.forward_factors), cause)
+    return _follow(kinematics, q, equations, kinematics.forward_determinant, cause)
 
 
 def follow_pose(kinematics: TreeKinematics, q: FloatArray, rotation: FloatArray, translation: FloatArray) -> FloatArray:
@@ -111,7 +111,7 @@ def follow_pose(kinematics: TreeKinematics, q: FloatArray, rotation: FloatArray,
         return size, lambda: kinematics.velocities_along(error, -gap)
 
     cause = "an inverse singularity, or out of reach?"
-    return _follow(kinematics, q, equations, lambda: kinematics.determinant(kinematics.inverse_factors), cause)
+    return _follow(kinematics, q, equations, kinematics.inverse_determinant, cause)
 
 
 def _turn(start: FloatArray, end: FloatArray) -> FloatArray:

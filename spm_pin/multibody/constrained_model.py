@@ -347,8 +347,15 @@ class TreeKinematics(StateKinematics):
         self.check_ball_angles()
         return SingularValues(*(float(np.linalg.svd(m, compute_uv=False)[-1]) for m in self.scaled_matrices()))
 
-    def determinant(self, factors: Factors) -> float:
-        """Return the determinant of K or N in scaled velocities, but for a constant factor of the model."""
+    def forward_determinant(self) -> float:
+        """Return the determinant of N in scaled velocities, but for a constant factor of the model."""
+        return self._scaled_determinant(self.forward_factors)
+
+    def inverse_determinant(self) -> float:
+        """Return the determinant of K in scaled velocities, but for a constant factor of the model."""
+        return self._scaled_determinant(self.inverse_factors)
+
+    def _scaled_determinant(self, factors: Factors) -> float:
         # The cosines are, but for its sign, the determinant of what maps rates of balls' joints to angular velocities.
         return factors.determinant() / math.prod(math.cos(self.q.item(place)) for place, _ in self._middles)
 
