@@ -86,7 +86,7 @@ class LoopMotion:
     def __repr__(self) -> str:
         last = f"t = {self.times[-1]:g} s" if self.times.size else "no time"
         detail = f": {self.detail}" if self.detail else ""
-        return f"<LoopMotion: {self.times.size} times to {last}, {self.end}{detail}>"
+        return f"<{type(self).__name__}: {self.times.size} times to {last}, {self.end}{detail}>"
 
     @property
     def complete(self) -> bool:
@@ -94,10 +94,14 @@ class LoopMotion:
         return self.end is SimulationEnd.COMPLETE
 
     @property
+    def energy(self) -> FloatArray:
+        """Kinetic and potential energy [J], shape (k,)."""
+        return np.asarray(self.kinetic + self.potential)
+
+    @property
     def energy_error(self) -> FloatArray:
         """Energy gained since the start less the work done [J], shape (k,): zero but for errors of the method."""
-        energy = self.kinetic + self.potential
-        return np.asarray(energy - energy[0] - self.work)
+        return np.asarray(self.energy - self.energy[0] - self.work)
 
 
 def simulate(

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from spm_pin.description.source_files import Closure
+    from spm_pin.loops.forward_simulation import SimulationEnd
     from spm_pin.loops.loop_state import Energy
     from spm_pin.multibody.chain import ClosedChain
     from spm_pin.multibody.chain_state import ChainState, ConstrainedState, NaturalFrequencies, PlatformDynamics
     from spm_pin.multibody.constrained_model import SingularValues
     from spm_pin.multibody.mounting import MountedChain
-    from spm_pin.multibody.simulation import Simulation, SimulationEnd
+    from spm_pin.multibody.simulation import Simulation
     from spm_pin.multibody.trajectory import JointTrajectory, PlatformMotion, PlatformPath
 
 __all__ = [
@@ -35,9 +36,10 @@ __all__ = [
 
 _HOMES = {
     **dict.fromkeys(("JointTrajectory", "PlatformMotion", "PlatformPath"), "multibody.trajectory"),
-    **dict.fromkeys(("Simulation", "SimulationEnd"), "multibody.simulation"),
     "Closure": "description.source_files",
     "Energy": "loops.loop_state",
+    "Simulation": "multibody.simulation",
+    "SimulationEnd": "loops.forward_simulation",
     "ClosedChain": "multibody.chain",
     "MountedChain": "multibody.mounting",
     "SingularValues": "multibody.constrained_model",

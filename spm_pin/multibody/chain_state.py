@@ -80,9 +80,9 @@ class ConstrainedState(TreeState):
     """
 
     _kept_argument = "q"
-    kinematics: TreeKinematics
 
     def __init__(self, constrained: ConstrainedModel) -> None:
+        self.kinematics: TreeKinematics
         super().__init__(constrained.loops, TreeKinematics(constrained))
         self._constrained = constrained
 
