@@ -29,6 +29,12 @@ pose = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88])
 assert spm.forward_physical(machine, spm.inverse_displacement(machine, pose).physical().leg_lengths).exists
 """
 
+PLAN = """spm_pin as spm
+machine = spm.Manipulator.paper()
+start, goal = spm.forward_physical(machine, [[1.2, 1.3, 1.25, 1.4, 1.3, 1.2], [1.25, 1.25, 1.3, 1.35, 1.3, 1.25]])
+assert isinstance(spm.plan(machine, start, goal).path, spm.PlatformPath | spm.motion.LegPath)
+"""
+
 
 @pytest.mark.parametrize(
     ("module", "heavy"),
@@ -36,6 +42,7 @@ assert spm.forward_physical(machine, spm.inverse_displacement(machine, pose).phy
         ("spm_pin", HEAVY),
         ("spm_pin.cli.application", HEAVY),
         ("spm_pin.crosscheck", "casadi pinocchio"),
+        (PLAN, "pinocchio"),
         ("spm_pin.description.tree", "pinocchio"),
         ("spm_pin.display.plots", "matplotlib trimesh"),
         (SOLVE, "pinocchio casadi matplotlib scipy.optimize flint trimesh xacro"),

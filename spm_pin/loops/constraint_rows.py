@@ -24,6 +24,7 @@ import pinocchio as pin
 from spm_pin.errors import ArgumentError
 from spm_pin.loops.closures import Anchor, Closure, JointEquality
 from spm_pin.loops.links import find_frame
+from spm_pin.loops.point_closures import PointRows
 from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, type_and_value
 
 POSITION, ROTATION, AXIS, FORMS = 0, 3, 6, 8
@@ -182,6 +183,11 @@ class ConstraintRows:
         """Velocities and angular velocities (nv, 3) of the joints, in their own frames."""
         return self._subspace()[1:]
 
+    @property
+    def are_points(self) -> bool:
+        """True if `PointRows` has all equations."""
+        return self.pose < 0 and not self.equalities and all(closure.kind == "point" for closure in self.closures)
+
     def concerns(self) -> BoolArray:
         """Return which velocities (nv,) the equations depend on."""
         involved = (self.signs != 0.0).any(axis=0)
@@ -281,11 +287,15 @@ class LoopKinematics:
 
     def __init__(self, rows: ConstraintRows) -> None:
         self.rows, self.data = rows, rows.model.createData()
+        self._points = PointRows(rows) if rows.are_points else None
         self._columns = rows.units / rows.row_units[:, None]
 
     def residual(self, q: FloatArray) -> FloatArray:
         """Return the left sides (m,), dimensionless."""
         pin.forwardKinematics(self.rows.model, self.data, q)
+        if self._points is not None:
+            self._points.update(self.data)
+            return np.asarray(self._points.residual() / self.rows.row_units)
         relative = self.rows.placements_of(self.data)[2]
         return np.asarray(self.rows.left_sides(q, relative) / self.rows.row_units)
 

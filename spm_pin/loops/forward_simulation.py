@@ -24,9 +24,8 @@ from scipy.optimize import brentq
 
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
 from spm_pin.loops.loop_state import LoopState
-from spm_pin.loops.point_dynamics import PointDynamics
 from spm_pin.loops.state_kinematics import frame_index, largest, read_vectors
-from spm_pin.support.arguments import FloatArray, Progress, real_array, real_number
+from spm_pin.support.arguments import FloatArray, Progress, check_function, real_array, real_number
 from spm_pin.support.progress import shown_progress
 
 Force = npt.ArrayLike | Callable[[float, FloatArray, FloatArray], npt.ArrayLike] | None
@@ -87,7 +86,7 @@ class LoopMotion:
     def __repr__(self) -> str:
         last = f"t = {self.times[-1]:g} s" if self.times.size else "no time"
         detail = f": {self.detail}" if self.detail else ""
-        return f"<LoopMotion: {self.times.size} times to {last}, {self.end}{detail}>"
+        return f"<{type(self).__name__}: {self.times.size} times to {last}, {self.end}{detail}>"
 
     @property
     def complete(self) -> bool:
@@ -95,10 +94,14 @@ class LoopMotion:
         return self.end is SimulationEnd.COMPLETE
 
     @property
+    def energy(self) -> FloatArray:
+        """Kinetic and potential energy [J], shape (k,)."""
+        return np.asarray(self.kinetic + self.potential)
+
+    @property
     def energy_error(self) -> FloatArray:
         """Energy gained since the start less the work done [J], shape (k,): zero but for errors of the method."""
-        energy = self.kinetic + self.potential
-        return np.asarray(energy - energy[0] - self.work)
+        return np.asarray(self.energy - self.energy[0] - self.work)
 
 
 def simulate(
@@ -159,6 +162,8 @@ def simulate(
         if not (given is None or isinstance(given, Mapping)):
             expected = "a mapping, of names of frames to wrenches or of events to functions of q"
             raise ArgumentError(name, expected, type(given).__name__)
+    for name, function in (events or {}).items():
+        check_function(function, f"events[{name!r}]", "q")
     loads = {} if wrenches is None else {k: _as_function(w, f"wrenches[{k!r}]", 6) for k, w in wrenches.items()}
     report = shown_progress(progress)
     placed = {frame_index(chain.model, name): load for name, load in loads.items()}
@@ -197,6 +202,7 @@ def _as_function(force: Force, argument: str, size: int) -> Callable[[float, Flo
         return array
 
     if callable(force):
+        check_function(force, argument, "t", "q", "v")
         # Copies: the function may change them.
         return lambda t, q, v: read(force(t, q.copy(), v.copy()))
     value = read(np.zeros(size) if force is None else force)
@@ -225,11 +231,7 @@ class _Run:
         self._chain, self._kinematics = chain, state.kinematics
         self._kinematics.rank = state.kinematics.space.rank
         self._are_independent = self._kinematics.rank == len(self._kinematics.labels)
-        self._points: PointDynamics | None = None
-        are_points = all(closure.kind == "point" for closure in chain.closures)
-        if self._are_independent and are_points and len(self._kinematics.labels) == 3 * len(chain.closures):
-            places = zip(chain.rows.joints, chain.rows.placements, strict=True)
-            self._points = PointDynamics(chain.model, ((i, at_i, j, at_j) for (i, j), (at_i, at_j) in places))
+        self._points = state.kinematics.point_dynamics if self._are_independent else None
         self._loads, self._events, self._tolerance = loads, events, tolerance
         self._least_sigma = min(LEAST_CONSTRAINED, LEAST_SHARE * state.kinematics.space.sigma)
         self.detail = ""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from functools import partial
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -42,40 +41,17 @@ class Energy(NamedTuple):
         return self.kinetic + self.potential
 
 
-class LoopState(BatchedState):
-    """State (q, v) of a `ClosedChain`: rates, Jacobians, forces and dynamics.
+class TreeState(BatchedState):
+    """State (q, v) of a tree with closures; base of those of `loops` and of `multibody`, which differ in arguments."""
 
-    `ClosedChain.state` creates it; control loops create one and call `update`, which allocates no new memory. For one q
-    and v, kinematics, Jacobians and factorisations are computed once and cached; for a batch, each call computes them
-    anew, member by member. Arguments broadcast with the batch. A state is for one thread at a time.
-
-    Twists (v, ω) [m/s, rad/s] and wrenches (f, m) [N, N m] are at the origin of a frame, in the axes of the world,
-    linear first. `wrenches` are a mapping from names of frames to what acts there, (..., 6). Springs, damping and
-    friction of joints are left out; armatures are part of the masses.
-
-    Methods that use rates or forces take a closed q, and raise `SingularConfigurationError` at a singularity of the
-    loops, where some velocities that their equations admit lead to no motion.
-
-    Joints that the chain holds stand still. A free base does so where rates of the actuators are given, as all joints
-    in no loop that are not actuated; in dynamics they move freely.
-
-    Attributes
-    ----------
-    kinematics : StateKinematics
-        Pinocchio's data, Jacobians and factorisations at a single q; do not change it.
-    failures : dict of tuple of int to SpmError
-        Errors of the last call for a batch: the `SingularConfigurationError` or `ClosureError` of each member that is
-        NaN.
-    """
-
-    def __init__(self, chain: Any, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> None:
+    def __init__(self, chain: Any, kinematics: StateKinematics) -> None:
         super().__init__(chain.model.nv)
-        self._chain, self.kinematics = chain, StateKinematics(chain)
-        self.update(q, v)
+        self._chain, self.kinematics = chain, kinematics
+        self._q, self._v = kinematics.q, kinematics.zero_velocity
 
     def update(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> Self:
         """Move to other joint values (..., nq) and velocities (..., nv), zero by default; return this state."""
-        joints, rates = read_joint_values(self._chain.model, q), self.kinematics.zero_velocity
+        joints, rates = self._read_q(q), self.kinematics.zero_velocity
         if v is not None:
             rates = read_vectors(v, "v", rates.size, "rates of the joints in Pinocchio's order").copy()
         if joints.ndim == rates.ndim == 1:
@@ -84,6 +60,9 @@ class LoopState(BatchedState):
         else:
             self._set_batch(joints, rates)
         return self
+
+    def _read_q(self, q: npt.ArrayLike) -> FloatArray:
+        return read_joint_values(self._chain.model, q)
 
     def _move(self, q: FloatArray, v: FloatArray) -> None:
         self.kinematics.evaluate(q)
@@ -113,6 +92,110 @@ class LoopState(BatchedState):
             check_regular(self._chain, self.kinematics)
             self._is_closed = True
 
+    def energy(self) -> Energy:
+        """Return the kinetic and the potential energy (...) [J] of all bodies, closed or not."""
+        return Energy(*self._each_member(lambda: self.kinematics.energies(self._rates), [(), ()]))
+
+    def _driven(self, values: FloatArray, argument: str, least: FloatArray | None = None) -> FloatArray:
+        """Return the admissible rates (nv,) that, added to `least`, move the actuators with `values`."""
+        kinematics = self.kinematics
+        kinematics.check_driven()
+        wanted = np.concatenate([values, np.zeros(len(kinematics.base))])
+        if least is not None:
+            wanted -= least.take(np.concatenate([kinematics.actuated, kinematics.base]))
+        rates, missed = kinematics.rates.solve(wanted)
+        if missed > AGREEMENT * max(largest(wanted / kinematics.rates.scales), largest(rates)):
+            expected = "values that are compatible with the closures"
+            cause = "There are more actuators than freedoms, or loops lock one: see mobility"
+            raise ArgumentError(argument, expected, f"values that are {missed:.1e} off", cause)
+        return np.asarray(kinematics.space.basis.dot(rates))
+
+    def _accelerations(self, tau: FloatArray, frames: list[int], loads: tuple[FloatArray, ...]) -> FloatArray:
+        """Return the accelerations of a single state under actuators (n,) and wrenches at frames."""
+        forces = self._forces(tau, frames, loads)
+        a = self.kinematics.compiled_accelerations(self._rates, forces)
+        if a is None:
+            self._check_closed()
+            a = self.kinematics.accelerations(self._rates, forces)
+        return a
+
+    def _actuator_forces(self, a: FloatArray, frames: list[int], loads: tuple[FloatArray, ...]) -> FloatArray:
+        """Return the forces of the actuators (n,) for accelerations (nv,) of a single state."""
+        kinematics, v = self.kinematics, self._rates
+        bias, size = kinematics.bias(v), largest(v / self.kinematics.units)
+        if not kinematics.is_admissible(a, bias, size * size):
+            expected, received = "joint accelerations that keep the loops closed", "accelerations that open them"
+            cause = "joint_accelerations makes them from those of the actuators"
+            raise ArgumentError("a", expected, received, cause)
+        return self._balance(pin.rnea(kinematics.model, kinematics.data, kinematics.q, v, a), frames, loads)
+
+    def _balance(self, forces: FloatArray, frames: list[int], loads: tuple[FloatArray, ...]) -> FloatArray:
+        """Return the least actuator forces (n,) that do the work of generalized ones (nv,), less that of wrenches."""
+        kinematics = self.kinematics
+        for frame, load in zip(frames, loads, strict=True):
+            forces = forces - kinematics.frame_jacobian(frame).T.dot(load)
+        basis = kinematics.space.basis
+        wanted = basis.T.dot(forces)
+        tau, missed = kinematics.actuation.solve_transposed(wanted)
+        if missed > AGREEMENT * largest(wanted):
+            # The wanted forces may be a difference of larger ones, such as weights and inertia in free fall.
+            size = largest(np.abs(basis).T.dot(np.abs(forces))) + kinematics.weight
+            if missed > AGREEMENT * size:
+                loose = kinematics.moving_joints(basis @ kinematics.actuation.right[kinematics.actuation.rank :].T)
+                expected = "forces that the actuators can balance"
+                cause = "Fewer actuators than freedoms, or a singular configuration: see mobility"
+                raise ArgumentError("forces", expected, f"forces that would move {', '.join(loose[:4])}", cause)
+        return tau
+
+    def _forces(self, tau: FloatArray, frames: list[int], loads: tuple[FloatArray, ...]) -> FloatArray:
+        """Return generalized forces (nv,) of actuators (n,) and of wrenches."""
+        forces = self.kinematics.zero_velocity.copy()
+        forces[self.kinematics.actuated] = tau
+        for frame, load in zip(frames, loads, strict=True):
+            forces += self.kinematics.frame_jacobian(frame).T.dot(load)
+        return forces
+
+    @property
+    def _count(self) -> int:
+        return len(self.kinematics.actuated)
+
+    def _actuator_values(self, value: npt.ArrayLike, argument: str) -> FloatArray:
+        return read_vectors(value, argument, self._count, "one for each actuator, in the order of `actuated`")
+
+    def _joint_vectors(self, value: npt.ArrayLike, argument: str) -> FloatArray:
+        return read_vectors(value, argument, self._nv, "one for each degree of freedom in Pinocchio's order")
+
+
+class LoopState(TreeState):
+    """State (q, v) of a `ClosedChain`: rates, Jacobians, forces and dynamics.
+
+    `ClosedChain.state` creates it; control loops create one and call `update`, which allocates no new memory. For one q
+    and v, kinematics, Jacobians and factorisations are computed once and cached; for a batch, each call computes them
+    anew, member by member. Arguments broadcast with the batch. A state is for one thread at a time.
+
+    Twists (v, ω) [m/s, rad/s] and wrenches (f, m) [N, N m] are at the origin of a frame, in the axes of the world,
+    linear first. `wrenches` are a mapping from names of frames to what acts there, (..., 6). Springs, damping and
+    friction of joints are left out; armatures are part of the masses.
+
+    Methods that use rates or forces take a closed q, and raise `SingularConfigurationError` at a singularity of the
+    loops, where some velocities that their equations admit lead to no motion.
+
+    Joints that the chain holds stand still. A free base does so where rates of the actuators are given, as all joints
+    in no loop that are not actuated; in dynamics they move freely.
+
+    Attributes
+    ----------
+    kinematics : StateKinematics
+        Pinocchio's data, Jacobians and factorisations at a single q; do not change it.
+    failures : dict of tuple of int to SpmError
+        Errors of the last call for a batch: the `SingularConfigurationError` or `ClosureError` of each member that is
+        NaN.
+    """
+
+    def __init__(self, chain: Any, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> None:
+        super().__init__(chain, StateKinematics(chain))
+        self.update(q, v)
+
     def gap(self) -> FloatArray:
         """Return the residual of each row of the closures and joint equalities [m, rad], shape (..., m)."""
         return self._each_member(lambda: self.kinematics.residual[: self._rows].copy(), (self._rows,))
@@ -120,10 +203,6 @@ class LoopState(BatchedState):
     def constraint_jacobian(self) -> FloatArray:
         """Return the derivative of `gap` by the joints' motion, shape (..., m, nv); exact at any q."""
         return self._each_member(lambda: self.kinematics.jacobian[: self._rows].copy(), (self._rows, self._nv))
-
-    def energy(self) -> Energy:
-        """Return the kinetic and the potential energy (...) [J] of all bodies, closed or not."""
-        return Energy(*self._each_member(lambda: self.kinematics.energies(self._rates), [(), ()]))
 
     def joint_jacobian(self) -> FloatArray:
         """Return the map from rates of the actuators to velocities of all joints, shape (..., nv, n).
@@ -158,20 +237,6 @@ class LoopState(BatchedState):
 
         values = self._actuator_values(actuator_accelerations, "actuator_accelerations")
         return self._each_closed_member(member, (self._nv,), actuator_accelerations=values)
-
-    def _driven(self, values: FloatArray, argument: str, least: FloatArray | None = None) -> FloatArray:
-        """Return the admissible rates (nv,) that, added to `least`, move the actuators with `values`."""
-        kinematics = self.kinematics
-        kinematics.check_driven()
-        wanted = np.concatenate([values, np.zeros(len(kinematics.base))])
-        if least is not None:
-            wanted -= least.take(np.concatenate([kinematics.actuated, kinematics.base]))
-        rates, missed = kinematics.rates.solve(wanted)
-        if missed > AGREEMENT * max(largest(wanted / kinematics.rates.scales), largest(rates)):
-            expected = "values that are compatible with the closures"
-            cause = "There are more actuators than freedoms, or loops lock one: see mobility"
-            raise ArgumentError(argument, expected, f"values that are {missed:.1e} off", cause)
-        return np.asarray(kinematics.space.basis.dot(rates))
 
     def actuator_jacobian(self, frame: str) -> FloatArray:
         """Return the map from rates of the actuators to the twist of a frame, shape (..., 6, n).
@@ -212,19 +277,15 @@ class LoopState(BatchedState):
         """
         values = self._actuator_values(tau, "tau")
         if wrenches is None and values.ndim == 1 and not self._batch:
-            return self._accelerations([], values)
+            return self._accelerations(values, [], ())
+
+        def member(tau: FloatArray, *loads: FloatArray) -> FloatArray:
+            return self._accelerations(tau, frames, loads)
+
         frames, arrays = self._read_wrenches(wrenches)
         if max(math.prod(self._batch), math.prod(values.shape[:-1])) > MANY:
             self._chain.compile_dynamics()
-        return self._each_member(partial(self._accelerations, frames), (self._nv,), tau=values, **arrays)
-
-    def _accelerations(self, frames: list[int], tau: FloatArray, *loads: FloatArray) -> FloatArray:
-        forces = self._forces(tau, frames, loads)
-        a = self.kinematics.compiled_accelerations(self._rates, forces)
-        if a is None:
-            self._check_closed()
-            a = self.kinematics.accelerations(self._rates, forces)
-        return a
+        return self._each_member(member, (self._nv,), tau=values, **arrays)
 
     def inverse_dynamics(self, a: npt.ArrayLike, wrenches: Mapping[str, npt.ArrayLike] | None = None) -> FloatArray:
         """Return the forces of the actuators (..., n) [N, N m] for a motion under gravity, inertia and wrenches.
@@ -235,13 +296,7 @@ class LoopState(BatchedState):
         """
 
         def member(a: FloatArray, *loads: FloatArray) -> FloatArray:
-            kinematics, v = self.kinematics, self._rates
-            bias, size = kinematics.bias(v), largest(v / self.kinematics.units)
-            if not kinematics.space.is_admissible(a, bias, AGREEMENT, size * size):
-                expected, received = "joint accelerations that keep the loops closed", "accelerations that open them"
-                cause = "joint_accelerations makes them from those of the actuators"
-                raise ArgumentError("a", expected, received, cause)
-            return self._balance(pin.rnea(kinematics.model, kinematics.data, kinematics.q, v, a), frames, loads)
+            return self._actuator_forces(a, frames, loads)
 
         frames, arrays = self._read_wrenches(wrenches)
         return self._each_closed_member(member, (self._count,), a=self._joint_vectors(a, "a"), **arrays)
@@ -268,24 +323,6 @@ class LoopState(BatchedState):
         """
         forces = self._joint_vectors(joint_forces, "joint_forces")
         return self._each_closed_member(lambda g: self._balance(g, [], ()), (self._count,), joint_forces=forces)
-
-    def _balance(self, forces: FloatArray, frames: list[int], loads: tuple[FloatArray, ...]) -> FloatArray:
-        """Return the least actuator forces (n,) that do the work of generalized ones (nv,), less that of wrenches."""
-        kinematics = self.kinematics
-        for frame, load in zip(frames, loads, strict=True):
-            forces = forces - kinematics.frame_jacobian(frame).T.dot(load)
-        basis = kinematics.space.basis
-        wanted = basis.T.dot(forces)
-        tau, missed = kinematics.actuation.solve_transposed(wanted)
-        if missed > AGREEMENT * largest(wanted):
-            # The wanted forces may be a difference of larger ones, such as weights and inertia in free fall.
-            size = largest(np.abs(basis).T.dot(np.abs(forces))) + kinematics.weight
-            if missed > AGREEMENT * size:
-                loose = kinematics.moving_joints(basis @ kinematics.actuation.right[kinematics.actuation.rank :].T)
-                expected = "forces that the actuators can balance"
-                cause = "Fewer actuators than freedoms, or a singular configuration: see mobility"
-                raise ArgumentError("forces", expected, f"forces that would move {', '.join(loose[:4])}", cause)
-        return tau
 
     def constraint_forces(self, tau: npt.ArrayLike, wrenches: Mapping[str, npt.ArrayLike] | None = None) -> FloatArray:
         """Return the forces λ of the rows of `gap` (..., m) [N, N m] while actuators, gravity and wrenches act.
@@ -322,18 +359,8 @@ class LoopState(BatchedState):
     def _rows(self) -> int:
         return int(self.kinematics.rows.count)
 
-    @property
-    def _count(self) -> int:
-        return len(self.kinematics.actuated)
-
     def _frame(self, name: str) -> int:
         return frame_index(self._chain.model, name)
-
-    def _actuator_values(self, value: npt.ArrayLike, argument: str) -> FloatArray:
-        return read_vectors(value, argument, self._count, "one for each actuator, in the order of `actuated`")
-
-    def _joint_vectors(self, value: npt.ArrayLike, argument: str) -> FloatArray:
-        return read_vectors(value, argument, self._nv, "one for each degree of freedom in Pinocchio's order")
 
     def _read_wrenches(self, wrenches: Mapping[str, npt.ArrayLike] | None) -> tuple[list[int], dict[str, FloatArray]]:
         """Return the indices of the frames, and the wrenches as arguments of `_each_member`."""
@@ -347,11 +374,3 @@ class LoopState(BatchedState):
         return [self._frame(name) for name in wrenches], {
             argument: read_vectors(value, argument, 6, meaning) for argument, value in arrays.items()
         }
-
-    def _forces(self, tau: FloatArray, frames: list[int], loads: tuple[FloatArray, ...]) -> FloatArray:
-        """Return generalized forces (nv,) of actuators (n,) and of wrenches."""
-        forces = self.kinematics.zero_velocity.copy()
-        forces[self.kinematics.actuated] = tau
-        for frame, load in zip(frames, loads, strict=True):
-            forces += self.kinematics.frame_jacobian(frame).T.dot(load)
-        return forces

@@ -24,6 +24,8 @@ of a planar loop are parallel to no more digits than a file has."""
 class NullSpace:
     """Solutions of J x = c, of any rank, and forces of its rows; J is the Jacobian (m, nv) of m rows.
 
+    J is taken in units of each row and each joint, which are sizes of order one.
+
     Attributes
     ----------
     rank : int
@@ -38,23 +40,23 @@ class NullSpace:
 
     def __init__(
         self,
-        jacobian: FloatArray,
+        scaled: FloatArray,
         row_units: FloatArray,
         units: FloatArray,
         tolerance: float,
         rank: int | None = None,
     ) -> None:
-        """Factorise J; `row_units` (m,) and `units` (nv,) are sizes of order one of each row and of each joint.
+        """Factorise J, `scaled` by `row_units` (m,) and `units` (nv,).
 
         The rank, if it is not given, is the number of rows that are independent to `tolerance`.
         """
         self._row_units, self._units = row_units, units
-        rows, nv = jacobian.shape
-        self.scaled = jacobian / row_units[:, None] * units
+        rows, nv = scaled.shape
+        self.scaled = scaled
         self.rank, self.least, self.sigma = 0, 0.0, 1.0
         rotation = np.eye(nv)
         if rows and nv:
-            factors, pivots, tau, *_ = lapack.dgeqp3(self.scaled.T)
+            factors, pivots, tau, *_ = lapack.dgeqp3(scaled.T)
             diagonal = [abs(x) for x in factors.diagonal().tolist()]
             least = max(tolerance, INDEPENDENT) * max(diagonal[0], 1e-300)
             self.rank = rank = sum(x > least for x in diagonal) if rank is None else rank
@@ -103,10 +105,3 @@ class NullSpace:
             return None
         upper = np.triu(self._factors[: self.rank])
         return np.linalg.qr(upper.T)
-
-    def is_admissible(self, rates: FloatArray, offset: FloatArray | float, share: float, extra: float = 0.0) -> bool:
-        """Return whether J x + offset is zero to a share of the largest of x, offset and `extra`, all scaled."""
-        scaled_offset, scaled_rates = offset / self._row_units, rates / self._units
-        opening = np.abs(self.scaled.dot(scaled_rates) + scaled_offset).max(initial=0.0)
-        size = np.abs(scaled_rates).max(initial=0.0) + np.abs(scaled_offset).max(initial=0.0) + extra
-        return bool(opening <= share * size)

@@ -24,8 +24,10 @@ import pinocchio as pin
 from scipy.linalg import blas, lapack
 
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
+from spm_pin.loops.constraint_rows import LoopKinematics
 from spm_pin.loops.links import find_frame
 from spm_pin.loops.null_space import NullSpace
+from spm_pin.loops.point_closures import PointDynamics, PointRows
 from spm_pin.support.arguments import FloatArray, IntArray, finite_array, real_array
 
 AGREEMENT = 1e-9
@@ -36,6 +38,9 @@ DETERMINED = 1e-9
 """Singular values below this of the map from freedoms, of scaled velocities of length one, to actuators are zero."""
 COMPATIBLE = 1e-6
 """Largest disagreement of dependent rows on accelerations, relative to the terms; more at a singularity."""
+
+LEAST_INERTIA = 1e-9
+"""Smallest eigenvalue of the tree's mass matrix, relative to the largest, at which motions of the tree have inertia."""
 
 _HATS = np.zeros((6, 16))
 """Rows of 4 x 4 matrices of the unit twists."""
@@ -79,17 +84,26 @@ class StateKinematics:
     many as seem so at q, which is right in closed loops alone.
     """
 
-    def __init__(self, chain: Any) -> None:
-        self.model, self.rows, self.actuated = chain.model, chain.rows, chain.actuated_in_v
+    remedy = "close() assembles them"
+    """What the error for open loops recommends."""
+
+    def __init__(self, chain: Any, actuated: IntArray | None = None) -> None:
+        """Take the chain's actuators, or velocities that others drive as well."""
+        self.model, self.rows = chain.model, chain.rows
+        self.actuated: IntArray = chain.actuated_in_v if actuated is None else actuated
         self._chain, self._data = chain, self.model.createData()
         self.q, self.zero_velocity = np.zeros(0), np.zeros(self.model.nv)
         self._values, self._has_placements = b"", False
+        members = (item for kind in type(self).__mro__ for item in vars(kind).items())
+        self._cached = {name for name, member in members if isinstance(member, cached_property)} - {"point_dynamics"}
         self.rank: int | None = None
         rows, nv, held = self.rows, self.model.nv, chain.indices_in_v(*chain.held)
         self._held = np.eye(nv)[held]
+        self._points = PointRows(rows) if rows.are_points and not chain.held else None
         self.labels = (*rows.labels, *(name for name in chain.held for _ in chain.indices_in_v(name)))
         self.row_units = np.concatenate([rows.row_units, rows.units[held]])
         self.units = rows.units
+        self._scale = self.units / self.row_units[:, None]
         # Work of all weights in a step of order one.
         mass = sum(inertia.mass for inertia in self.model.inertias)
         self.weight = float(mass * np.linalg.norm(self.model.gravity.linear) * rows.size)
@@ -111,17 +125,24 @@ class StateKinematics:
         if values != self._values:
             self._values, self._has_placements = values, False
             if len(self.__dict__) > self._bare:
-                for name in _CACHED & self.__dict__.keys():
+                for name in self._cached & self.__dict__.keys():
                     del self.__dict__[name]
 
     @property
     def data(self) -> Any:
         """The pinocchio.Data with joint placements, Jacobians and frames; algorithms may work in it at the same q."""
         if not self._has_placements:
+            self._place()
+        return self._data
+
+    def _place(self) -> None:
+        """Compute placements and Jacobians, unless they are known."""
+        if not self._has_placements:
             pin.computeJointJacobians(self.model, self._data, self.q)
             pin.updateFramePlacements(self.model, self._data)
+            if self._points is not None:
+                self._points.update(self._data)
             self._has_placements = True
-        return self._data
 
     @cached_property
     def _placed(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -131,17 +152,24 @@ class StateKinematics:
     @cached_property
     def residual(self) -> FloatArray:
         """Left side of each equation [m, rad], shape (m,)."""
+        if self._points is not None:
+            self._place()
+            return self._points.residual()
         return np.concatenate([self.rows.left_sides(self.q, self._placed[2]), np.zeros(len(self._held))])
 
     @cached_property
     def jacobian(self) -> FloatArray:
         """J, joint velocities (nv,) to the rates of the left sides, shape (m, nv); exact at any q."""
+        if self._points is not None:
+            return self._points.jacobian(self.data)
         rows = self.rows.jacobian(self.q, self.data, self._placed)
         return np.concatenate([rows, self._held]) if len(self._held) else rows
 
     def bias(self, v: FloatArray) -> FloatArray:
         """Return J̇ v (m,), the second derivatives of the left sides where no joint accelerates; exact at any q."""
         rows, data = self.rows, self.data
+        if self._points is not None:
+            return self._points.bias(data, self.q, v, self.zero_velocity)
         pin.computeJointJacobiansTimeVariation(self.model, data, self.q, v)
         across, count = (rows.signs * v).T, len(rows.joints)
         columns = [data.J.dot(across), data.dJ.dot(across), data.J.dot((self._first * v).T)]
@@ -161,6 +189,19 @@ class StateKinematics:
         return bias
 
     @cached_property
+    def _scaled(self) -> FloatArray:
+        return np.asarray(self.jacobian * self._scale)
+
+    def is_admissible(self, rates: FloatArray, bias: FloatArray | None = None, extra: float = 0.0) -> bool:
+        """Return whether J x + bias is zero, for rates x, to `AGREEMENT` of the largest of x, bias and `extra`."""
+        scaled_rates, size = rates / self.units, extra
+        opening = self._scaled.dot(scaled_rates)
+        if bias is not None:
+            scaled_bias = bias / self.row_units
+            opening, size = opening + scaled_bias, size + largest(scaled_bias)
+        return largest(opening) <= AGREEMENT * (size + largest(scaled_rates))
+
+    @cached_property
     def widest_gap(self) -> float:
         """Largest residual of a row, relative to its unit."""
         return largest(self.residual / self.row_units)
@@ -168,7 +209,12 @@ class StateKinematics:
     @cached_property
     def space(self) -> NullSpace:
         """The velocities that the closures admit."""
-        return NullSpace(self.jacobian, self.row_units, self.units, DEPENDENCE * self.widest_gap, self.rank)
+        return NullSpace(self._scaled, self.row_units, self.units, DEPENDENCE * self.widest_gap, self.rank)
+
+    @property
+    def are_independent(self) -> bool:
+        """True if no row depends on others at q."""
+        return self.space.rank == len(self.labels)
 
     @cached_property
     def actuation(self) -> Drive:
@@ -182,7 +228,9 @@ class StateKinematics:
 
     def _drive(self, places: IntArray) -> Drive:
         scales = self.units.take(places)
-        left, sizes, right = np.linalg.svd(self.space.basis.take(places, axis=0) / scales[:, None])
+        left, sizes, right, info = lapack.dgesdd(self.space.basis.take(places, axis=0) / scales[:, None])
+        if info:
+            raise np.linalg.LinAlgError("the singular values of the actuators do not converge")
         rank = sum(size > DETERMINED for size in sizes.tolist())
         return Drive(scales, left, sizes, right, rank)
 
@@ -198,9 +246,9 @@ class StateKinematics:
 
     def check_driven(self, rows: FloatArray | None = None) -> None:
         """Raise unless the actuators determine the velocities of all joints, or of what `rows` (k, nv) maps them to."""
-        loose = self.undriven
-        if not loose.shape[1]:
+        if self.rates.rank == self.space.basis.shape[1]:
             return
+        loose = self.undriven
         moved = loose / self.units[:, None] if rows is None else rows @ loose
         size = 1.0 if rows is None else np.abs(rows * self.units).sum(axis=1).max(initial=0.0)
         if np.abs(moved).max() > DETERMINED * size:
@@ -231,12 +279,22 @@ class StateKinematics:
     def check_closed(self, v: FloatArray | None = None, argument: str = "v") -> None:
         """Raise unless q is closed and v keeps it so, to `AGREEMENT`."""
         if not self.widest_gap <= AGREEMENT:
-            worst = int(np.abs(self.residual / self.row_units).argmax())
-            cause = f"The widest is {self.labels[worst]}. Rounded or guessed joint values? close() assembles them"
-            raise ClosureError(float(abs(self.residual[worst])), 0, cause)
-        if v is not None and not self.space.is_admissible(v, 0.0, AGREEMENT):
+            gaps, _, loop = LoopKinematics(self.rows).open_closures(self.q)
+            cause = f"The widest is {loop}. Rounded or guessed joint values? {self.remedy}"
+            raise ClosureError(float(gaps.max(initial=0.0)), 0, cause, loop)
+        if v is not None and v is not self.zero_velocity and not self.is_admissible(v):
             expected, received = "joint velocities that keep the loops closed", "velocities that open them"
             raise ArgumentError(argument, expected, received, "joint_rates makes them from rates of the actuators")
+
+    @cached_property
+    def point_dynamics(self) -> PointDynamics | None:
+        """Solver of accelerations for closures that are points, or None; used where their rows are independent."""
+        if self._points is None:
+            return None
+        # It divides by the mass matrix of the tree, in which links without mass have no part; loops often have some.
+        mass = np.triu(pin.crba(self.model, self.model.createData(), self._chain.q0)) * self.units
+        sizes = np.linalg.eigvalsh(mass * self.units[:, None], UPLO="U")
+        return PointDynamics(self.rows) if sizes[0] > LEAST_INERTIA * sizes[-1] else None
 
     def closing_acceleration(self, v: FloatArray) -> FloatArray:
         """Return the least accelerations a0 (nv,) with J a0 = -J̇ v, or raise where the rows contradict each other."""
@@ -258,7 +316,10 @@ class StateKinematics:
 
     def accelerations(self, v: FloatArray, forces: FloatArray) -> FloatArray:
         """Return the joint accelerations (nv,) under generalized forces (nv,), gravity and the closures' forces."""
-        model, data, q, basis = self.model, self.data, self.q, self.space.basis
+        model, data, q = self.model, self.data, self.q
+        if self.point_dynamics is not None and self.are_independent:
+            return self.point_dynamics.accelerations(q, v, forces)
+        basis = self.space.basis
         least = self.closing_acceleration(v)
         if not basis.shape[1]:
             return least
@@ -273,9 +334,6 @@ class StateKinematics:
                 "model", "inertias for all moving links", f"a motion without inertia, which moves {still}"
             )
         return np.asarray(least + basis.dot(free))
-
-
-_CACHED = {name for name, member in vars(StateKinematics).items() if isinstance(member, cached_property)}
 
 
 def frame_index(model: Any, name: str) -> int:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -22,10 +22,12 @@ from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import physical_at_poses
 from spm_pin.machine import Configuration, Manipulator, Stage, StageConfiguration
-from spm_pin.multibody.chain import ClosedChain
-from spm_pin.multibody.chain_state import ChainState
 from spm_pin.multibody.trajectory import PlatformMotion, PlatformPath
 from spm_pin.support.arguments import FloatArray, IntArray, leg_bounds, leg_values, real_array
+
+if TYPE_CHECKING:
+    from spm_pin.multibody.chain import ClosedChain
+    from spm_pin.multibody.chain_state import ChainState
 
 AnyMachine = Manipulator | Stage
 State = Configuration | StageConfiguration

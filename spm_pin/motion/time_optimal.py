@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -27,9 +27,11 @@ from spm_pin.motion.least_time import Clock, LeastTime
 from spm_pin.motion.limited_jerk import EasedGrid, limited_jerk
 from spm_pin.motion.paths import LegPath, MotionLimits, MotionPath, PathDynamics, path_dynamics
 from spm_pin.motion.planning import MotionPlan
-from spm_pin.multibody.chain import ClosedChain
 from spm_pin.multibody.trajectory import JointTrajectory, PlatformPath, increasing_times
 from spm_pin.support.arguments import FloatArray, check_instance, real_array, real_number, whole_number
+
+if TYPE_CHECKING:
+    from spm_pin.multibody.chain import ClosedChain
 
 _Rows = tuple[tuple[FloatArray, FloatArray, FloatArray, FloatArray], FloatArray, RigidTransform]
 """Values, velocities, accelerations and efforts of the joints, readings, and poses."""
@@ -140,6 +142,8 @@ def time_optimal(
     A convex programme in the square of the speed, as in Verscheure et al., IEEE Transactions on Automatic Control 54
     (2009); with limited jerk a nonlinear one, of which IPOPT finds a local optimum.
     """
+    from spm_pin.multibody.chain import ClosedChain
+
     check_instance(chain, ClosedChain, "chain")
     way = _path(path, chain)
     if payload is not None:

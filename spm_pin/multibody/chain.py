@@ -28,8 +28,6 @@ from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import physical_at_poses
 from spm_pin.loops.batched_state import at_index
 from spm_pin.loops.closed_chain import ClosedChain as LoopChain
-from spm_pin.loops.closures import Anchor
-from spm_pin.loops.closures import Closure as LoopClosure
 from spm_pin.machine.configuration import Configuration
 from spm_pin.machine.joint_angles import check_state, joint_angles, value_names
 from spm_pin.machine.legs import check_path_readings
@@ -43,7 +41,14 @@ from spm_pin.multibody.constrained_model import AGREEMENT, ConstrainedModel, Tre
 from spm_pin.multibody.mounting import MountedChain, mount
 from spm_pin.multibody.simulation import ForceFunction, Simulation, run_simulation
 from spm_pin.multibody.trajectory import JointTrajectory, PlatformMotion, PlatformPath, increasing_times, read_motion
-from spm_pin.support.arguments import FloatArray, IntArray, broadcastable, check_instance, first_offender
+from spm_pin.support.arguments import (
+    FloatArray,
+    IntArray,
+    broadcastable,
+    check_function,
+    check_instance,
+    first_offender,
+)
 from spm_pin.support.files import file_path
 from spm_pin.support.pose import PoseLike, as_rigid_transform
 
@@ -76,6 +81,10 @@ class ClosedChain:
         Names of the joints in the order of q.
     leg_indices : ndarray, shape (n,)
         Indices of the joints in q that the actuators move, in the order of the legs.
+
+    See Also
+    --------
+    spm_pin.loops.ClosedChain : Any robot with closed loops; `loops` is this machine as one.
     """
 
     def __init__(self, urdf: str, machine: Manipulator | Stage, prefix: str = "") -> None:
@@ -149,11 +158,10 @@ class ClosedChain:
         """Return the indices in q (n,) of joints named as in the URDF; raise `ArgumentError` for an unknown name."""
         return self._constrained.joint_indices(*names)
 
-    @cached_property
+    @property
     def loops(self) -> LoopChain:
         """The same chain in `spm_pin.loops`, for functions of any closed chain: mobility, forces of closures."""
-        closures = [LoopClosure("point", Anchor(c.frame_a), Anchor(c.frame_b), c.name) for c in self.closures]
-        return LoopChain(self.model, closures, [self.joint_names[k] for k in self.leg_indices])
+        return self._constrained.loops
 
     @cached_property
     def visual_model(self) -> Any:
@@ -337,8 +345,7 @@ class ClosedChain:
         of the time, and `UnreachableError` where a leg is beyond the limits of the machine.
         """
         q, t = self._constrained.read_q(near, "near", single=True), increasing_times(times)
-        if not callable(path):
-            raise ArgumentError("path", "a PlatformPath or another function of time", type(path).__name__)
+        check_function(path, "path", "t", meaning=", such as a PlatformPath")
         state, rows = self.state(q), []
         state.kinematics.check_closed()
         # All at once where that is known to be allowed.

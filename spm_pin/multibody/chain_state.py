@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple, Self, cast
+from typing import NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -20,9 +20,7 @@ import pinocchio as pin
 from scipy.linalg import LinAlgError, eigh
 
 from spm_pin.errors import ArgumentError
-from spm_pin.loops.batched_state import BatchedState, Result, ResultShape
-from spm_pin.loops.loop_state import Energy
-from spm_pin.loops.point_dynamics import PointDynamics
+from spm_pin.loops.loop_state import TreeState
 from spm_pin.machine.configuration import Configuration
 from spm_pin.machine.manipulator import Manipulator
 from spm_pin.machine.stage import Stage
@@ -64,7 +62,7 @@ class NaturalFrequencies(NamedTuple):
     order of the frequencies; Mᵀ Λ M = 1 of the columns."""
 
 
-class ConstrainedState(BatchedState):
+class ConstrainedState(TreeState):
     """Joint values q and velocities v of a model with closures, and quantities computed from them.
 
     Made by the method `state` of `ClosedChain` and `MountedChain`, and moved by `update`, without new memory:
@@ -84,52 +82,22 @@ class ConstrainedState(BatchedState):
     _kept_argument = "q"
 
     def __init__(self, constrained: ConstrainedModel) -> None:
-        super().__init__(constrained.model.nv)
+        self.kinematics: TreeKinematics
+        super().__init__(constrained.loops, TreeKinematics(constrained))
         self._constrained = constrained
-        self.kinematics = TreeKinematics(constrained)
-        self._solver: PointDynamics | None = None
-        self._q, self._v = self.kinematics.q, self.kinematics.zero_velocity
 
-    def update(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> Self:
-        """Move to other joint values (..., nq) and velocities (..., nv), zero by default; return this state."""
-        joints, rates = self._constrained.read_q(q), self.kinematics.zero_velocity
-        if v is not None:
-            rates = read_vectors(v, "v", rates.size).copy()
-        if joints.ndim == rates.ndim == 1:
-            self._batch, self._q, self._v = (), joints.copy(), rates
-            self._move(self._q, rates)
-        else:
-            self._set_batch(joints, rates)
-        return self
+    def _read_q(self, q: npt.ArrayLike) -> FloatArray:
+        return self._constrained.read_q(q)
 
-    def _move(self, q: FloatArray, v: FloatArray) -> None:
-        self.kinematics.evaluate(q)
-        self._rates = v
-        self._drift: tuple[FloatArray, FloatArray] | None = None
-        self._closed = False
-
-    def _each_member(self, function: Callable[..., Result], shape: ResultShape, **arrays: FloatArray) -> Result:
-        """Return the results of a function of one q and v, and of one member of each array, for all members.
-
-        For a single state and single arguments, the function's own result is returned.
-        """
-        if not self._batch and all(array.ndim == 1 for array in arrays.values()):
-            return function(*arrays.values())
-        return self._each_of_batch(function, shape, arrays)
-
-    def _each_closed_member(self, function: Callable[..., Result], shape: Any, **arrays: FloatArray) -> Result:
-        """Return the same as `_each_member` for a function that takes q to be closed."""
-
-        def member(*arguments: FloatArray) -> Result:
-            result = function(*arguments)
-            self.kinematics.check_closed()
-            return result
-
-        return self._each_member(member, shape, **arrays)
+    def _check_closed(self) -> None:
+        if not self._is_closed:
+            self.kinematics.check_ball_angles()
+            self.kinematics.check_closed(self._rates)
+            self._is_closed = True
 
     def closure_gap(self) -> FloatArray:
         """Return how far the closures are open: from `frame_a` to `frame_b` of each [m], shape (..., 4, 3)."""
-        return self._each_member(lambda: self.kinematics.gap.copy(), (len(self._constrained.closures), 3))
+        return self._each_member(self.kinematics.gaps, (len(self._constrained.closures), 3))
 
     def constraint_jacobian(self) -> FloatArray:
         """Return the derivative of `closure_gap` by q, shape (..., 12, nv), three rows per closure; exact at any q.
@@ -137,11 +105,8 @@ class ConstrainedState(BatchedState):
         Its transpose maps forces on `frame_b` of the closures (and opposite forces on `frame_a`) to generalized forces.
         """
         shape = 3 * len(self._constrained.closures), self._constrained.model.nv
-        return self._each_member(lambda: self.kinematics.constraint_jacobian.copy(), shape)
-
-    def energy(self) -> Energy:
-        """Return the kinetic and the potential energy (...) [J] of all bodies, closed or not."""
-        return Energy(*self._each_member(lambda: self.kinematics.energies(self._rates), [(), ()]))
+        of_frame = self.kinematics.frame_jacobian
+        return self._each_member(lambda: _differences(self._constrained, of_frame), shape)
 
     def forward_dynamics(self, forces: npt.ArrayLike, wrench: npt.ArrayLike | None = None) -> FloatArray:
         """Return the accelerations of all joints (..., nv) [rad/s², m/s²] under actuators, gravity and a wrench.
@@ -150,20 +115,13 @@ class ConstrainedState(BatchedState):
         (..., 6) is onto the terminal platform. q and v are closed. Only constraint singularities raise: inverse and
         forward ones are no obstacle.
         """
-        constrained, kinematics = self._constrained, self.kinematics
-        arrays = {"forces": read_vectors(forces, "forces", constrained.actuated.size), **_wrench(wrench)}
-        if self._solver is None:
-            self._solver = constrained.point_dynamics()
-        solver = self._solver
+        frames, arrays = self._read_wrench(wrench)
 
-        def member(force: FloatArray, load: FloatArray | None = None) -> FloatArray:
-            kinematics.check_constrained()
-            self._check_closed()
-            torques = np.zeros(kinematics.model.nv) if load is None else kinematics.platform_torques(load)
-            torques[constrained.actuated] += force
-            return solver.accelerations(kinematics.q, self._rates, torques)
+        def member(force: FloatArray, *loads: FloatArray) -> FloatArray:
+            return self._accelerations(force, frames, loads)
 
-        return self._each_member(member, (kinematics.model.nv,), **arrays)
+        arrays = {"forces": read_vectors(forces, "forces", self._count), **arrays}
+        return self._each_member(member, (self._nv,), **arrays)
 
     def inverse_dynamics(self, a: npt.ArrayLike, wrench: npt.ArrayLike | None = None) -> FloatArray:
         """Return the forces of the actuators (..., n) [N, N m] for a motion under gravity, inertia and a wrench.
@@ -172,47 +130,31 @@ class ConstrainedState(BatchedState):
         as in `forward_dynamics`. At rest, the weights of all bodies are left. Raises at a forward or a constraint
         singularity.
         """
-        constrained, kinematics = self._constrained, self.kinematics
-        model, data = kinematics.model, kinematics.data
-        arrays = {"a": read_vectors(a, "a", model.nv), **_wrench(wrench)}
+        frames, arrays = self._read_wrench(wrench)
 
-        def member(a: FloatArray, load: FloatArray | None = None) -> FloatArray:
-            self._check_closed()
-            kinematics.check_accelerations(a, self._rates, self._bias()[0])
-            torques = pin.rnea(model, data, kinematics.q, self._rates, a)
-            if load is not None:
-                torques = torques - kinematics.platform_torques(load)
-            # Forces in the balls do no work on another robot: its actuators carry the tree's torques.
-            return np.concatenate([torques[constrained.others], self._balance(torques[constrained.in_v])[0]])
+        def member(a: FloatArray, *loads: FloatArray) -> FloatArray:
+            return self._actuator_forces(a, frames, loads)
 
-        return self._each_member(member, (constrained.actuated.size,), **arrays)
+        return self._each_closed_member(member, (self._count,), a=read_vectors(a, "a", self._nv), **arrays)
 
-    def _balance(self, torques: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return leg forces and forces in the cut balls (3 n,) that give the tree's generalized forces (joints,)."""
-        legs, kinematics = self._constrained.legs, self.kinematics
-        # The actuators do not act on the passive joints: their rows give λ, and the rows of the legs the remaining
-        # forces.
-        cuts = kinematics.forward_factors.solve_transposed(torques.take(self._constrained.passive))
-        return torques.take(legs) - cuts.dot(kinematics.own_constraint_jacobian).take(legs), cuts
+    def _balance(self, forces: FloatArray, frames: list[int], loads: tuple[FloatArray, ...]) -> FloatArray:
+        kinematics = self.kinematics
+        for frame, load in zip(frames, loads, strict=True):
+            forces = forces - kinematics.frame_jacobian(frame).T.dot(load)
+        # Forces in the balls do no work on another robot: its actuators carry the tree's torques.
+        legs, others = kinematics.balance(forces)[0], self._constrained.others
+        return np.concatenate([forces.take(others), legs]) if len(others) else legs
 
-    def _bias(self) -> tuple[FloatArray, FloatArray]:
-        """Return the accelerations at zero joint accelerations: of the gaps, J̇c v (3 n,), and of m (6,)."""
-        if self._drift is None:
-            kinematics, constrained = self.kinematics, self._constrained
-            model, data = kinematics.model, kinematics.data
-            pin.forwardKinematics(model, data, kinematics.q, self._rates, kinematics.zero_velocity)
-            *points, platform = (
-                pin.getFrameClassicalAcceleration(model, data, frame, pin.LOCAL_WORLD_ALIGNED).vector
-                for frame in (*constrained.frames, constrained.platform_frame)
-            )
-            self._drift = constrained.linear_differences(points), platform
-        return self._drift
+    def _read_wrench(self, wrench: npt.ArrayLike | None) -> tuple[list[int], dict[str, FloatArray]]:
+        """Return the frame, and the argument of `_each_member`, of a wrench (..., 6) onto the platform, if any."""
+        if wrench is None:
+            return [], {}
+        return [self._constrained.platform_frame], {"wrench": read_vectors(wrench, "wrench", 6)}
 
-    def _check_closed(self) -> None:
-        """Raise unless q is closed and v keeps it closed; checked once for each q and v."""
-        if not self._closed:
-            self.kinematics.check_closed(self._rates)
-            self._closed = True
+
+def _differences(constrained: ConstrainedModel, of_frame: Callable[[int], FloatArray]) -> FloatArray:
+    """Return the linear part at `frame_b` less that at `frame_a` of matrices (6, m) of frames, shape (3 n, m)."""
+    return np.concatenate([of_frame(b)[:3] - of_frame(a)[:3] for a, b in constrained.pairs])
 
 
 class ChainState(ConstrainedState):
@@ -298,7 +240,8 @@ class ChainState(ConstrainedState):
         Weights and friction are left out: `inverse_dynamics` has the weights. Raises at a forward or a constraint
         singularity.
         """
-        return self._holding(wrench)[0]
+        loads = read_vectors(wrench, "wrench", 6)
+        return self._each_closed_member(lambda w: self._holding(w)[0], (len(self._constrained.legs),), wrench=loads)
 
     def cut_forces(self, wrench: npt.ArrayLike) -> FloatArray:
         """Return the forces in the ball joints where the tree is cut, shape (..., closures, 3) [N] in {B}.
@@ -306,17 +249,19 @@ class ChainState(ConstrainedState):
         Per closure, what the middle platform (`frame_a`) exerts onto the tip of the leg (`frame_b`). The wrench and the
         errors are those of `leg_forces`.
         """
-        cuts = self._holding(wrench)[1]
-        return cuts.reshape(*cuts.shape[:-1], len(self._constrained.closures), 3)
 
-    def _holding(self, wrench: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Return the forces of the legs (..., n) and in the cut balls (..., 3 closures) that hold a wrench (..., 6)."""
+        def member(load: FloatArray) -> FloatArray:
+            # The rows are along the axes of `frame_a`.
+            cuts = self._holding(load)[1].reshape(-1, 3)
+            axes = (self.kinematics.data.oMf[a].rotation for a, _ in self._constrained.pairs)
+            return np.array([turn.dot(cut) for turn, cut in zip(axes, cuts, strict=True)])
 
-        def member(load: FloatArray) -> tuple[FloatArray, FloatArray]:
-            return self._balance(-(self.kinematics.platform_jacobian.T @ load))
+        shape = len(self._constrained.closures), 3
+        return self._each_closed_member(member, shape, wrench=read_vectors(wrench, "wrench", 6))
 
-        shapes: list[tuple[int, ...]] = [(len(self._constrained.legs),), (3 * len(self._constrained.closures),)]
-        return self._each_closed_member(member, shapes, wrench=read_vectors(wrench, "wrench", 6))
+    def _holding(self, load: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the forces of the legs and of the closures' rows of a single state that hold a wrench (6,)."""
+        return self.kinematics.balance(-self.kinematics.platform_jacobian.T.dot(load))
 
     def singular_values(self) -> SingularValues:
         """Return how near q is to each kind of singularity, without raising `SingularConfigurationError`."""
@@ -334,23 +279,22 @@ class ChainState(ConstrainedState):
             if not self._constrained.is_stage:
                 return self._accelerations_of(acceleration)
             a = self._accelerations_of(np.zeros(6))
-            missing = acceleration - (kinematics.platform_jacobian @ a + self._bias()[1])[freedoms]
-            return np.asarray(a + kinematics.velocities_of_twists @ missing)
+            platform = kinematics.platform_jacobian @ a + kinematics.platform_drift(self._rates)
+            return np.asarray(a + kinematics.velocities_of_twists @ (acceleration - platform[freedoms]))
 
         wanted = self._freedoms(acceleration, "acceleration")
-        return self._each_member(member, (self._joints,), acceleration=wanted)
+        return self._each_closed_member(member, (self._joints,), acceleration=wanted)
 
     def _accelerations_of(self, acceleration: FloatArray) -> FloatArray:
-        """Return the accelerations of all joints with which W times that of m is W times one given (6,)."""
+        """Return the joint accelerations of a single state for which W times that of m is W times the argument (6,)."""
         self._check_closed()
-        gaps, platform = self._bias()
-        kinematics = self.kinematics
-        return kinematics.inverse_factors.solve(kinematics.nondimensional(acceleration - platform, -gaps))
+        kinematics, v = self.kinematics, self._rates
+        return kinematics.velocities_along(acceleration - kinematics.platform_drift(v), -kinematics.bias(v))
 
     def velocities_along(self, twist: FloatArray) -> FloatArray:
         """Return the velocities of all joints of a single state with which m moves as W times a twist (6,) says."""
-        kinematics, gaps = self.kinematics, np.zeros(3 * len(self._constrained.closures))
-        return kinematics.inverse_factors.solve(kinematics.nondimensional(twist, gaps))
+        self._check_closed()
+        return self.kinematics.velocities_along(twist)
 
     def _accelerations_along(self, twist: FloatArray, acceleration: FloatArray) -> FloatArray:
         """Return the accelerations of all joints along a path of this twist and acceleration (6,) of the platform.
@@ -374,17 +318,16 @@ class ChainState(ConstrainedState):
         """
 
         def member(accelerations: FloatArray) -> FloatArray:
-            self._check_closed()
-            return self.kinematics.velocities_of_legs(accelerations, self._bias()[0])
+            return self.kinematics.velocities_of_legs(accelerations, -self.kinematics.bias(self._rates))
 
         wanted = self._legs(leg_accelerations, "leg_accelerations")
-        return self._each_member(member, (self._joints,), leg_accelerations=wanted)
+        return self._each_closed_member(member, (self._joints,), leg_accelerations=wanted)
 
     def platform_acceleration(self, a: npt.ArrayLike) -> FloatArray:
         """Return the time derivative of the twist of m (..., 6) [m/s², rad/s²] for joint accelerations (..., nv)."""
 
         def member(a: FloatArray) -> FloatArray:
-            return self.kinematics.platform_jacobian @ a + self._bias()[1]
+            return self.kinematics.platform_jacobian @ a + self.kinematics.platform_drift(self._rates)
 
         return self._each_closed_member(member, (6,), a=read_vectors(a, "a", self._joints))
 
@@ -394,20 +337,22 @@ class ChainState(ConstrainedState):
         Raises at an inverse or a constraint singularity.
         """
         n = len(self._constrained.freedoms)
-        return PlatformDynamics(*self._each_member(self._platform_dynamics, [(n, n), (n, n), (n,), (n,)]))
+        return PlatformDynamics(*self._each_closed_member(self._platform_dynamics, [(n, n), (n, n), (n,), (n,)]))
 
     def _platform_dynamics(self) -> tuple[FloatArray, ...]:
-        self._check_closed()
         kinematics, constrained, v = self.kinematics, self._constrained, self._rates
         model, data, q, x = kinematics.model, kinematics.data, kinematics.q, kinematics.velocities_of_twists
         pin.computeJointJacobiansTimeVariation(model, data, q, v)
-        *points, platform = (
-            pin.getFrameJacobianTimeVariation(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
-            for frame in (*constrained.frames, constrained.platform_frame)
-        )
-        # Jc Ẋ = -J̇c X, and the twists of X have constant rows of freedoms.
-        rates, freedoms = constrained.linear_differences(points) @ x, constrained.freedoms
-        part = -kinematics.inverse_factors.solve(kinematics.nondimensional(np.zeros((6, len(freedoms))), rates))
+
+        def change(frame: int) -> FloatArray:
+            return np.asarray(pin.getFrameJacobianTimeVariation(model, data, frame, pin.LOCAL_WORLD_ALIGNED))
+
+        # Jc Ẋ = -J̇c X, in the axes of `frame_a` as the rows are, and the twists of X have constant rows of freedoms.
+        freedoms, opening = constrained.freedoms, -_differences(constrained, change) @ x
+        axes = np.array([data.oMf[a].rotation for a, _ in constrained.pairs])
+        opening = (axes.swapaxes(1, 2) @ opening.reshape(len(axes), 3, -1)).reshape(opening.shape)
+        part = np.stack([kinematics.velocities_along(np.zeros(6), column) for column in opening.T], axis=-1)
+        platform = change(constrained.platform_frame)
         x_rate = part - x @ (platform @ x + kinematics.platform_jacobian @ part)[freedoms]
         mass = kinematics.mass_matrix()
         coriolis = x.T @ (mass @ x_rate + pin.computeCoriolisMatrix(model, data, q, v) @ x)
@@ -438,8 +383,3 @@ class ChainState(ConstrainedState):
         if squares[0] <= 0.0:
             raise ArgumentError("stiffness", expected, f"a least ω² of {squares[0]:g} 1/s²")
         return np.sqrt(squares) / (2.0 * math.pi), modes.T
-
-
-def _wrench(wrench: npt.ArrayLike | None) -> dict[str, FloatArray]:
-    """Return a wrench (..., 6) as an argument of `_each_member`, if there is one."""
-    return {} if wrench is None else {"wrench": read_vectors(wrench, "wrench", 6)}

@@ -17,7 +17,8 @@ import numpy as np
 import pinocchio as pin
 
 from spm_pin.errors import ClosureError
-from spm_pin.multibody.constrained_model import TreeKinematics, largest
+from spm_pin.loops.state_kinematics import largest
+from spm_pin.multibody.constrained_model import TreeKinematics
 from spm_pin.support.arguments import FloatArray
 
 SHORTEST_NEWTON_SHARE = 2.0**-10
@@ -47,25 +48,30 @@ def close_loops(kinematics: TreeKinematics, q: FloatArray, most: int = 10) -> Fl
     tolerance, cause = constrained.rounding(q), "Too far from any closed q?"
     kinematics.evaluate(q)
     for iteration in range(most + 1):
-        gap, widest = kinematics.gap.ravel(), kinematics.widest_gap
-        if largest(gap) <= tolerance:
+        gap = kinematics.residual
+        if _widest(gap) <= tolerance:
             return q
         if iteration == most:
             break
         share, size, units = 1.0, np.linalg.norm(gap), constrained.units
-        move = units * np.linalg.lstsq(kinematics.constraint_jacobian * units, -gap, rcond=None)[0]
+        move = units * np.linalg.lstsq(kinematics.jacobian * units, -gap, rcond=None)[0]
         while True:
             tried = q + share * move
             if (constrained.readings(tried) >= constrained.least_readings).all():
                 kinematics.evaluate(tried)
                 # To first order a share of the step shrinks the gaps by that share: a quarter of that is required.
-                if np.linalg.norm(kinematics.gap) <= (1.0 - 0.25 * share) * size:
+                if np.linalg.norm(kinematics.residual) <= (1.0 - 0.25 * share) * size:
                     break
             share *= 0.5
             if share < SHORTEST_NEWTON_SHARE:
-                raise ClosureError(widest, iteration, cause)
+                raise ClosureError(_widest(gap), iteration, cause)
         q = tried
-    raise ClosureError(widest, most, cause)
+    raise ClosureError(_widest(gap), most, cause)
+
+
+def _widest(gap: FloatArray) -> float:
+    """Return the largest distance of two points that a closure holds together [m]."""
+    return float(np.linalg.norm(gap.reshape(-1, 3), axis=-1).max())
 
 
 def follow_legs(kinematics: TreeKinematics, q: FloatArray, readings: FloatArray) -> FloatArray:
@@ -77,8 +83,8 @@ def follow_legs(kinematics: TreeKinematics, q: FloatArray, readings: FloatArray)
         kinematics.evaluate(q)
         # Use the exact target at the end, which avoids accumulated rounding.
         target = readings if share == 1.0 else begin + share * (readings - begin)
-        missing, gap = target - constrained.readings(q), kinematics.gap.ravel()
-        return np.concatenate([missing, gap]), lambda: kinematics.velocities_of_legs(missing, gap)
+        missing, gap = target - constrained.readings(q), kinematics.residual
+        return np.concatenate([missing, gap]), lambda: kinematics.velocities_of_legs(missing, -gap)
 
     cause = "a forward singularity, or the end of this assembly mode?"
     return _follow(kinematics, q, equations, kinematics.forward_determinant, cause)
@@ -100,8 +106,9 @@ def follow_pose(kinematics: TreeKinematics, q: FloatArray, rotation: FloatArray,
         target = rotation if share == 1.0 else pin.exp3(share * turn) @ start
         place = translation if share == 1.0 else origin + share * (translation - origin)
         now, here = kinematics.terminal_pose()
-        error = kinematics.nondimensional(np.concatenate([place - here, between(now, target)]), -kinematics.gap.ravel())
-        return side * error, lambda: kinematics.inverse_factors.solve(error)
+        error, gap = np.concatenate([place - here, between(now, target)]), kinematics.residual
+        size = np.concatenate([side * kinematics.nondimensional(error), gap])
+        return size, lambda: kinematics.velocities_along(error, -gap)
 
     cause = "an inverse singularity, or out of reach?"
     return _follow(kinematics, q, equations, kinematics.inverse_determinant, cause)

@@ -7,7 +7,8 @@ velocities v of the mechanism that the closures admit solve, for a twist t of m 
 
 of which N comes down to the columns of the passive joints in Jc. W selects the freedoms: all six of a manipulator's
 platform; for a stage the velocity along z and the angular velocities about the axes x and y of the platform, which turn
-its normal. The parasitic motion follows from them.
+its normal. The parasitic motion follows from them. The closures' rows and Jc are those of any chain of
+`spm_pin.loops`; that N and K are square is the machine's.
 
 Singular values need one unit: lengths are in units of d, the middle platform's side. And they should not depend on
 how the tree describes a ball joint: its three rates are replaced by the angular velocity across it. Such velocities u
@@ -19,7 +20,6 @@ are of order one together, v = C u, and the scaled matrices are, with Ŝ u the l
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -29,8 +29,11 @@ import pinocchio as pin
 from scipy.linalg import lapack
 
 from spm_pin.description.source_files import Closure
-from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
-from spm_pin.loops.point_dynamics import PointDynamics
+from spm_pin.errors import ArgumentError, SingularConfigurationError
+from spm_pin.loops.closed_chain import ClosedChain as LoopChain
+from spm_pin.loops.closures import Anchor
+from spm_pin.loops.closures import Closure as LoopClosure
+from spm_pin.loops.state_kinematics import StateKinematics
 from spm_pin.machine.joint_angles import actuated_joints, home_readings, joint_names
 from spm_pin.machine.machine import Machine
 from spm_pin.machine.stage import Stage
@@ -75,11 +78,6 @@ def read_vectors(value: npt.ArrayLike, argument: str, size: int, *, single: bool
     if single and array.ndim != 1:
         raise ArgumentError(argument, f"shape ({size},), {_MEANINGS[argument]}", f"shape {array.shape}")
     return array
-
-
-def largest(vector: FloatArray) -> float:
-    """Return the largest absolute value of a short vector: quicker than NumPy."""
-    return float(max(map(abs, vector.tolist())))
 
 
 class SingularValues(NamedTuple):
@@ -146,15 +144,15 @@ class ConstrainedModel:
         self.in_q = np.array([joints[name].idx_q for name in names], dtype=np.intp)
         self.in_v = np.array([joints[name].idx_v for name in names], dtype=np.intp)
         self.others = np.setdiff1d(np.arange(model.nv), self.in_v)
-        # Among them: the actuated joints in the order of the legs, the other joints, and those that represent each
-        # ball.
+        # Among them: the actuated joints in the order of the legs, the passive ones, and those of each ball.
         self.legs = frozen(self.joint_indices(*actuated_joints(machine)))
-        self.passive = np.setdiff1d(np.arange(len(names)), self.legs)
         corners = [leg[2:] for leg in machine.legs.names[::3]]
         orders = [[f"ball_{leg}_{axis}" for axis in axes] for leg, axes in zip(corners, ("xyz", "zyx"), strict=False)]
         self.balls = tuple(self.joint_indices(*ball) for ball in orders)
+        self.passive_in_v = self.in_v[np.setdiff1d(np.arange(len(names)), self.legs)]
+        self.legs_in_v = self.in_v[self.legs]
         # Indices of the actuators in v: all of another robot, then the legs.
-        self.actuated = frozen(np.concatenate([self.others, self.in_v[self.legs]]))
+        self.actuated = frozen(np.concatenate([self.others, self.legs_in_v]))
         self._actuated_in_q = self.in_q[self.legs]
         # Without offsets; RPS legs have no negative length.
         self.home_readings = home_readings(machine)
@@ -171,11 +169,9 @@ class ConstrainedModel:
         self.platform_frame = int(model.getFrameId(self.platform))
         # A stage's corners follow from the pose of its platform.
         self.corner_frames = [int(model.getFrameId(f"{prefix}middle_b{i}")) for i in "123" if not self.is_stage]
-        # A frame that several closures share is evaluated once.
         self.pairs = [[int(model.getFrameId(name)) for name in (c.frame_a, c.frame_b)] for c in closures]
-        self.frames = list(dict.fromkeys(frame for pair in self.pairs for frame in pair))
-        unit = np.eye(len(self.frames))
-        self.signs = np.array([unit[self.frames.index(b)] - unit[self.frames.index(a)] for a, b in self.pairs])
+        ends = [LoopClosure("point", Anchor(c.frame_a), Anchor(c.frame_b), c.name) for c in closures]
+        self.loops = LoopChain(model, ends, [self.names[k] for k in self.legs])
 
     def joint_indices(self, *names: str) -> IntArray:
         """Return the indices (n,) of joints among the mechanism's, with or without prefix."""
@@ -210,140 +206,60 @@ class ConstrainedModel:
         self.check_readings(self.readings(array), argument, cause)
         return array
 
-    def point_dynamics(self) -> PointDynamics:
-        """Return what computes accelerations under forces."""
-        frames = [[self.model.frames[frame] for frame in pair] for pair in self.pairs]
-        return PointDynamics(self.model, ((a.parentJoint, a.placement, b.parentJoint, b.placement) for a, b in frames))
 
-    def linear_differences(self, spatial: Sequence[FloatArray]) -> FloatArray:
-        """Return, per closure, the linear part at `frame_b` less that at `frame_a`, of vectors at `frames`.
+class TreeKinematics(StateKinematics):
+    """What a `ConstrainedModel` adds to the kinematics of its loops: the terminal platform, and the balls' angles."""
 
-        They are spatial vectors (6,) or matrices (6, m); the result is (3 n,) or (3 n, m).
-        """
-        rows = np.concatenate(spatial)
-        differences = self.signs.dot(rows.reshape(len(self.frames), -1)).reshape(-1, 6, *rows.shape[1:])
-        return np.asarray(differences[:, :3].reshape(-1, *rows.shape[1:]))
-
-
-class TreeKinematics:
-    """Gaps, Jacobians and their factorisations of a `ConstrainedModel` at one q, each computed on first use.
-
-    `q` (nq,) are the joint values of the last `evaluate`, `data`, a pinocchio.Data, has the joint placements, Jacobians
-    and frames there; other algorithms may work in it at the same q.
-    """
+    remedy = "The method project closes the loops"
 
     def __init__(self, constrained: ConstrainedModel) -> None:
-        self.constrained, self.model = constrained, constrained.model
-        self.data = self.model.createData()
-        self.q = np.zeros(0)
-        self.zero_velocity = frozen(np.zeros(self.model.nv))
-        self._values: bytes | None = None
-        self._side = constrained.side
+        super().__init__(constrained.loops, constrained.actuated)
+        self.constrained, self._side = constrained, constrained.side
         # The diagonal of W A.
         self._twist_scale = np.array([1.0 / self._side] * 3 + [1.0] * 3)[constrained.freedoms]
-        count = len(constrained.freedoms)
-        self._unit_twists = self._scaled(np.eye(count), np.zeros((len(constrained.names) - count, count)))
-        # Indices of the balls' middle angles in q.
-        self._middles = [int(constrained.in_q[ball[1]]) for ball in constrained.balls]
-        # Pinocchio updates these in place: no look-up at each q.
-        self._points = [self.data.oMf[frame].translation for frame in constrained.frames]
-        # The mechanism's own columns; without other joints there is nothing to pick.
-        self._own: Any = constrained.in_v if len(constrained.others) else slice(None)
+        self._unit_twists = np.eye(len(self._twist_scale) + len(self.row_units))[:, : len(self._twist_scale)]
+        self._unit_twists *= self._twist_scale
+        # The balls' middle angles in q, and their names.
+        self._middles = [(int(constrained.in_q[ball[1]]), constrained.names[ball[1]]) for ball in constrained.balls]
 
-    def evaluate(self, q: FloatArray) -> None:
-        """Evaluate the kinematics at q (nq,), unless q is unchanged."""
-        values, self.q = q.tobytes(), q
-        if values == self._values:
-            return
-        self._values = None
-        pin.computeJointJacobians(self.model, self.data, q)
-        pin.updateFramePlacements(self.model, self.data)
-        self._values = values
-        known = self.__dict__
-        for name in _CACHED:
-            known.pop(name, None)
-
-    @cached_property
-    def gap(self) -> FloatArray:
-        """Gaps from the origin of `frame_a` to that of `frame_b`, in the universe's axes [m], (n, 3)."""
-        return np.asarray(self.constrained.signs.dot(np.concatenate(self._points).reshape(-1, 3)))
-
-    @cached_property
-    def widest_gap(self) -> float:
-        """Largest distance of two frames that a closure holds together [m]."""
-        return math.sqrt(max(x * x + y * y + z * z for x, y, z in self.gap.tolist()))
-
-    def frame_jacobian(self, frame: int) -> FloatArray:
-        """Return the Jacobian (6, nv) of a frame, at its origin in the universe's axes."""
-        return np.asarray(pin.getFrameJacobian(self.model, self.data, frame, pin.LOCAL_WORLD_ALIGNED))
-
-    @cached_property
-    def constraint_jacobian(self) -> FloatArray:
-        """Jc: joint velocities (nv,) to the rates of the gaps, shape (3 n, nv); exact at any q, closed or not."""
-        return self.constrained.linear_differences([self.frame_jacobian(frame) for frame in self.constrained.frames])
-
-    @cached_property
-    def own_constraint_jacobian(self) -> FloatArray:
-        """Jc's columns of the mechanism's own joints, shape (3 n, joints)."""
-        return np.asarray(self.constraint_jacobian[:, self._own])
+    def gaps(self) -> FloatArray:
+        """Return the gaps from the origin of `frame_a` to that of `frame_b`, in the universe's axes [m], (n, 3)."""
+        places = self.data.oMf
+        return np.array([places[b].translation - places[a].translation for a, b in self.constrained.pairs])
 
     @cached_property
     def platform_jacobian(self) -> FloatArray:
         """Jm: velocities of the mechanism's joints to the twist (v, ω) of m at o, shape (6, joints)."""
-        return np.asarray(self.frame_jacobian(self.constrained.platform_frame)[:, self._own])
+        return self.frame_jacobian(self.constrained.platform_frame).take(self.constrained.in_v, axis=1)
+
+    def platform_drift(self, v: FloatArray) -> FloatArray:
+        """Return the acceleration of m (6,) where no joint accelerates."""
+        pin.forwardKinematics(self.model, self.data, self.q, v, self.zero_velocity)
+        frame = self.model, self.data, self.constrained.platform_frame, pin.LOCAL_WORLD_ALIGNED
+        return np.asarray(pin.getFrameClassicalAcceleration(*frame).vector)
 
     def terminal_pose(self) -> tuple[FloatArray, FloatArray]:
         """Return copies of the rotation (3, 3) and the translation (3,) of m."""
         terminal = self.data.oMf[self.constrained.platform_frame]
         return terminal.rotation.copy(), terminal.translation.copy()
 
-    def nondimensional(self, platform: FloatArray, closures: FloatArray) -> FloatArray:
-        """Return [W A p; c / d] of rows p of the platform (6, ...) and c of the closures (3 n, ...)."""
-        return self._scaled(self.of_freedoms(platform), closures)
-
-    def _scaled(self, freedoms: FloatArray, closures: FloatArray) -> FloatArray:
-        return np.concatenate([(self._twist_scale * freedoms.T).T, closures / self._side])
-
-    def of_freedoms(self, platform: FloatArray) -> FloatArray:
-        """Return W p of vectors p of the platform (6, ...)."""
-        if not self.constrained.is_stage:
-            return platform
-        axes = self.data.oMf[self.constrained.platform_frame].rotation[:, :2]
-        return np.concatenate([platform[2:3], axes.T @ platform[3:]])
-
-    @cached_property
-    def velocity_scale(self) -> FloatArray:
-        """C: scaled velocities u to joint velocities, shape (joints, joints)."""
-        scale = np.diag(self.constrained.units)
-        for ball in self.constrained.balls:
-            scale[np.ix_(ball, ball)] = np.linalg.inv(self.platform_jacobian[3:, ball])
-        return scale
-
-    def scaled_constraint_jacobian(self) -> FloatArray:
-        """Return Jc C / d, shape (3 n, joints)."""
-        return np.asarray(self.own_constraint_jacobian @ self.velocity_scale) / self._side
-
-    def scaled_matrices(self) -> SingularValues:
-        """Return K̂, N̂ and Jc C / d in place of their smallest singular values."""
-        scale, legs = self.velocity_scale, np.eye(len(self.constrained.names))[self.constrained.legs]
-        inverse = self.nondimensional(self.platform_jacobian @ scale, self.own_constraint_jacobian @ scale)
-        closures = self.scaled_constraint_jacobian()
-        return SingularValues(inverse, np.concatenate([legs, closures]), closures)
-
-    def singular_values(self) -> SingularValues:
-        """Return the smallest singular values of K̂, N̂ and Jc C / d."""
-        self.check_ball_angles()
-        return SingularValues(*(float(np.linalg.svd(m, compute_uv=False)[-1]) for m in self.scaled_matrices()))
+    def nondimensional(self, platform: FloatArray) -> FloatArray:
+        """Return W A p of vectors p of the platform (6, ...)."""
+        if self.constrained.is_stage:
+            axes = self.data.oMf[self.constrained.platform_frame].rotation[:, :2]
+            platform = np.concatenate([platform[2:3], axes.T @ platform[3:]])
+        return (self._twist_scale * platform.T).T
 
     @cached_property
     def forward_factors(self) -> Factors:
         """Factors of Jc's columns of the passive joints (3 n, 3 n), regular where N is; else raises."""
-        return self._factors(self.own_constraint_jacobian.take(self.constrained.passive, axis=1), "forward")
+        return self._factors(self.jacobian.take(self.constrained.passive_in_v, axis=1), "forward")
 
     @cached_property
     def inverse_factors(self) -> Factors:
         """Factors of [W A Jm; Jc / d], K with rows of one unit; raises where it is singular."""
-        return self._factors(self.nondimensional(self.platform_jacobian, self.own_constraint_jacobian), "inverse")
+        rows = self.nondimensional(self.platform_jacobian), self.jacobian / self._side
+        return self._factors(np.concatenate(rows), "inverse")
 
     def _factors(self, matrix: FloatArray, kind: str) -> Factors:
         self.check_ball_angles()
@@ -356,6 +272,44 @@ class TreeKinematics:
                 if values[-1] <= SINGULAR * values[0] or (name == kind and factors.zero_pivot):
                     raise SingularConfigurationError(name, float(values[-1]))
         return factors
+
+    @property
+    def are_independent(self) -> bool:
+        """True, or raises `SingularConfigurationError` where the closures lose rank: those of regular q never do."""
+        try:
+            # Regular with the legs held, as nearly everywhere: of full rank.
+            _ = self.forward_factors
+        except SingularConfigurationError as error:
+            if error.kind == "constraint":
+                raise
+        return True
+
+    def compiled_accelerations(self, v: FloatArray, forces: FloatArray) -> FloatArray | None:
+        """Return the same as the base, which has no notion of the balls' angles."""
+        self.check_ball_angles()
+        return super().compiled_accelerations(v, forces)
+
+    def velocities_along(self, platform: FloatArray, opening: FloatArray | None = None) -> FloatArray:
+        """Return K⁻¹ (W p, c), with p (6,) of the platform and c (3 n,) of the closures, by default zero, as rates."""
+        closures = np.zeros(len(self.row_units)) if opening is None else opening / self._side
+        return self.inverse_factors.solve(np.concatenate([self.nondimensional(platform), closures]))
+
+    def velocities_of_legs(self, rates: FloatArray, opening: FloatArray | float = 0.0) -> FloatArray:
+        """Return N⁻¹ (ṙ, c): leg rates, and c (3 n,) of the closures, to velocities of the joints."""
+        v, constrained = np.empty(len(self.constrained.names)), self.constrained
+        v[constrained.legs_in_v] = rates
+        missing = opening - self.jacobian.take(constrained.legs_in_v, axis=1).dot(rates)
+        v[constrained.passive_in_v] = self.forward_factors.solve(missing)
+        return v
+
+    def balance(self, forces: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return leg forces, and forces of the rows (3 n,), that give generalized forces (nv,) of the machine's joints.
+
+        The actuators do not act on the passive joints: their rows give λ, and the rows of the legs what remains.
+        """
+        legs = self.constrained.legs_in_v
+        rows = self.forward_factors.solve_transposed(forces.take(self.constrained.passive_in_v))
+        return forces.take(legs) - rows.dot(self.jacobian.take(legs, axis=1)), rows
 
     @cached_property
     def velocities_of_twists(self) -> FloatArray:
@@ -370,13 +324,28 @@ class TreeKinematics:
             raise SingularConfigurationError("inverse", sigma)
         return np.asarray(velocities @ np.linalg.inv(freedoms))
 
-    def velocities_of_legs(self, leg_rates: FloatArray, closing: FloatArray | float = 0.0) -> FloatArray:
-        """Return N⁻¹ (ṙ, -c): leg rates, and c (3 n,) by which gaps close, to velocities of the mechanism's joints."""
-        v = np.empty(len(self.constrained.names))
-        v[self.constrained.legs] = leg_rates
-        opening = self.own_constraint_jacobian[:, self.constrained.legs] @ leg_rates + closing
-        v[self.constrained.passive] = -self.forward_factors.solve(opening)
-        return v
+    @cached_property
+    def velocity_scale(self) -> FloatArray:
+        """C: scaled velocities u to joint velocities, shape (joints, joints)."""
+        scale = np.diag(self.constrained.units)
+        for ball in self.constrained.balls:
+            scale[np.ix_(ball, ball)] = np.linalg.inv(self.platform_jacobian[3:, ball])
+        return scale
+
+    def scaled_constraint_jacobian(self) -> FloatArray:
+        """Return Jc C / d, shape (3 n, joints)."""
+        return np.asarray(self.jacobian.take(self.constrained.in_v, axis=1) @ self.velocity_scale) / self._side
+
+    def scaled_matrices(self) -> SingularValues:
+        """Return K̂, N̂ and Jc C / d in place of their smallest singular values."""
+        legs, closures = np.eye(len(self.constrained.names))[self.constrained.legs], self.scaled_constraint_jacobian()
+        platform = self.nondimensional(self.platform_jacobian @ self.velocity_scale)
+        return SingularValues(np.concatenate([platform, closures]), np.concatenate([legs, closures]), closures)
+
+    def singular_values(self) -> SingularValues:
+        """Return the smallest singular values of K̂, N̂ and Jc C / d."""
+        self.check_ball_angles()
+        return SingularValues(*(float(np.linalg.svd(m, compute_uv=False)[-1]) for m in self.scaled_matrices()))
 
     def forward_determinant(self) -> float:
         """Return the determinant of N in scaled velocities, but for a constant factor of the model."""
@@ -388,76 +357,12 @@ class TreeKinematics:
 
     def _scaled_determinant(self, factors: Factors) -> float:
         # The cosines are, but for its sign, the determinant of what maps rates of balls' joints to angular velocities.
-        return factors.determinant() / math.prod(math.cos(self.q.item(place)) for place in self._middles)
-
-    def mass_matrix(self) -> FloatArray:
-        """Return M (nv, nv); Pinocchio fills one triangle."""
-        half = np.triu(pin.crba(self.model, self.data, self.q))
-        return np.asarray(half + np.triu(half, 1).T)
-
-    def platform_torques(self, wrench: FloatArray) -> FloatArray:
-        """Return Jᵀ w (nv,) of a wrench (6,) onto m at o, in the axes of the universe."""
-        return np.asarray(self.frame_jacobian(self.constrained.platform_frame).T @ wrench)
-
-    def energies(self, v: FloatArray) -> tuple[float, float]:
-        """Return the kinetic and the potential energy of the tree's bodies [J]."""
-        kinetic = pin.computeKineticEnergy(self.model, self.data, self.q, v)
-        return float(kinetic), float(pin.computePotentialEnergy(self.model, self.data, self.q))
-
-    def check_constrained(self) -> None:
-        """Raise `SingularConfigurationError` where the closures lose rank."""
-        try:
-            # Regular with the legs held, as nearly everywhere: of full rank.
-            _ = self.forward_factors
-        except SingularConfigurationError as error:
-            if error.kind == "constraint":
-                raise
+        return factors.determinant() / math.prod(math.cos(self.q.item(place)) for place, _ in self._middles)
 
     def check_ball_angles(self) -> None:
         """Raise `ArgumentError` where a ball joint's middle angle is ±90°."""
-        for ball, place in zip(self.constrained.balls, self._middles, strict=True):
+        for place, name in self._middles:
             angle = self.q.item(place)
             if abs(math.cos(angle)) <= SINGULAR:
-                expected = f"{self.constrained.names[ball[1]]} away from ±90°"
                 cause = "The axes of x and z coincide there, and the tree loses a rotation that the robot has"
-                raise ArgumentError("q", expected, f"{math.degrees(angle):.9g}°", cause)
-
-    def check_closed(self, v: FloatArray | None = None, argument: str = "v") -> None:
-        """Raise unless q is closed and v keeps it closed, to `AGREEMENT`."""
-        gap = self.widest_gap
-        if gap > AGREEMENT * self._side:
-            raise ClosureError(gap, 0, "Rounded or guessed joint values? The method project closes the loops")
-        if v is None:
-            return
-        opening = largest(self.constraint_jacobian.dot(v))
-        # A leg's own rate is part of the speed, along one axis or more: quicker, and mostly enough.
-        rate = largest(v.take(self.constrained.in_v[self.constrained.legs]))
-        if opening > 0.5 * AGREEMENT * rate and opening > AGREEMENT * self._gap_rate_bound(v):
-            expected = "joint velocities that keep the loops closed"
-            cause = "joint_velocities makes them from a twist, joint_rates from leg rates"
-            raise ArgumentError(argument, expected, f"gaps that open at {opening:.1e} m/s", cause)
-
-    def check_accelerations(self, a: FloatArray, v: FloatArray, drift: FloatArray) -> None:
-        """Raise unless the closures allow the accelerations a at v, to `AGREEMENT`; `drift` is J̇c v."""
-        opening, size = largest(self.constraint_jacobian.dot(a) + drift), largest(drift)
-        if opening <= AGREEMENT * size:
-            return
-        # The other parts of the size take longer and are rarely needed.
-        size += self._gap_rate_bound(a) + self._gap_rate_bound(v) ** 2 / self._side
-        if opening > AGREEMENT * size:
-            expected = "joint accelerations that keep the loops closed"
-            cause = "joint_accelerations makes them from the platform's, at the velocities v"
-            raise ArgumentError("a", expected, f"gaps that open at {opening:.1e} m/s²", cause)
-
-    def _gap_rate_bound(self, v: FloatArray) -> float:
-        """Return the largest rate of a gap if all that joint velocities contribute to its ends had one sign [m/s]."""
-        rates, others = np.abs(v), self.constrained.others
-        bound = largest(np.abs(self.constraint_jacobian).dot(rates))
-        if len(others):
-            # Another robot moves both ends of a gap alike: the remaining difference is rounding of their speeds.
-            ends = map(self.frame_jacobian, self.constrained.frames)
-            bound += max(largest(np.abs(end[:3, others]).dot(rates[others])) for end in ends)
-        return bound
-
-
-_CACHED = {name for name, member in vars(TreeKinematics).items() if isinstance(member, cached_property)}
+                raise ArgumentError("q", f"{name} away from ±90°", f"{math.degrees(angle):.9g}°", cause)

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import enum
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
-from spm_pin.loops import forward_simulation
 from spm_pin.loops.closed_chain import ClosedChain as LoopChain
+from spm_pin.loops.forward_simulation import LoopMotion, SimulationEnd, simulate
 from spm_pin.multibody.constrained_model import ConstrainedModel, TreeKinematics, read_vectors
 from spm_pin.multibody.trajectory import increasing_times
 from spm_pin.support.arguments import FloatArray
@@ -25,65 +24,24 @@ SHORTEST_LEG = 1e-6
 """Length of a leg at which a run ends, in units of the middle platform's side: less has no direction."""
 
 
-class SimulationEnd(enum.StrEnum):
-    """Reason why a simulation ended."""
+@dataclass(frozen=True, repr=False)
+class Simulation(LoopMotion):
+    """A motion of a `ClosedChain` in time, at k times.
 
-    COMPLETE = "complete"
-    CONSTRAINT_SINGULARITY = "constraint singularity"
-    COLLAPSE = "leg of no length"
-    STALLED = "stalled"
-    """Too fast for any step, for instance where forces are discontinuous or unbounded."""
+    A leg of no length ends it as an event, whose `detail` is the name of the leg.
+    """
 
-
-@dataclass(frozen=True)
-class Simulation:
-    """A motion of a `ClosedChain` in time, at n times."""
-
-    times: FloatArray
-    """The requested times [s], shape (n,), up to the end of the motion; the last may be that of an event."""
-    q: FloatArray
-    """Joint values, shape (n, nq)."""
-    v: FloatArray
-    """Joint velocities, shape (n, nv)."""
-    a: FloatArray
-    """Joint accelerations, shape (n, nv)."""
     readings: FloatArray
-    """Readings of the legs' encoders [m] ([rad] for RRS legs), shape (n, legs)."""
-    leg_forces: FloatArray
-    """Forces of the actuators [N] ([N m] for RRS legs), shape (n, legs); positive increases the reading."""
-    kinetic: FloatArray
-    """Kinetic energy of all bodies [J], shape (n,)."""
-    potential: FloatArray
-    """Potential energy of all bodies [J], shape (n,)."""
-    work: FloatArray
-    """Work of the leg forces and the wrench since the start [J], shape (n,)."""
+    """Readings of the legs' encoders [m] ([rad] for RRS legs), shape (k, legs)."""
     closure_gap: FloatArray
-    """The widest of the gaps [m], shape (n,)."""
-    end: SimulationEnd
-    """Reason why it ended there."""
-    detail: str
-    """The leg, or the reason why no step was possible; may be empty."""
+    """The widest of the gaps [m], shape (k,)."""
     limit_excess: FloatArray
-    """Excess of readings above their limits, or below them (negative), shape (n, legs); 0 within."""
-
-    def __repr__(self) -> str:
-        last = f"t = {self.times[-1]:g} s" if self.times.size else "no time"
-        return f"<Simulation: {self.times.size} times to {last}, {self.end}>"
+    """Excess of readings above their limits, or below them (negative), shape (k, legs); 0 within."""
 
     @property
-    def complete(self) -> bool:
-        """True if the simulation reached the last of the requested times."""
-        return self.end is SimulationEnd.COMPLETE
-
-    @property
-    def energy(self) -> FloatArray:
-        """Kinetic and potential energy [J], shape (n,)."""
-        return np.asarray(self.kinetic + self.potential)
-
-    @property
-    def energy_error(self) -> FloatArray:
-        """Energy gained since the start less the work done [J], shape (n,): zero but for errors of the method."""
-        return np.asarray(self.energy - self.energy[0] - self.work)
+    def leg_forces(self) -> FloatArray:
+        """Forces of the actuators [N] ([N m] for RRS legs), shape (k, legs); positive increases the reading."""
+        return self.tau
 
 
 def run_simulation(
@@ -113,9 +71,9 @@ def run_simulation(
         kinematics.check_ball_angles()
         return float(np.linalg.svd(kinematics.scaled_constraint_jacobian(), compute_uv=False)[-1]) - LEAST_CONSTRAINED
 
-    events = {names[leg]: length(leg) for leg in lengths.tolist()} | {SimulationEnd.CONSTRAINT_SINGULARITY: margin}
+    events = {names[leg]: length(leg) for leg in lengths.tolist()} | {str(SimulationEnd.SINGULARITY): margin}
     try:
-        motion = forward_simulation.simulate(
+        motion = simulate(
             loops,
             q,
             v,
@@ -135,26 +93,7 @@ def run_simulation(
     gaps = []
     for joints in motion.q:
         kinematics.evaluate(joints)
-        gaps.append(kinematics.widest_gap)
-    end, detail = SimulationEnd.COMPLETE, motion.detail
-    if motion.end is forward_simulation.SimulationEnd.STALLED:
-        end = SimulationEnd.STALLED
-    elif motion.end is forward_simulation.SimulationEnd.EVENT and detail in names:
-        end = SimulationEnd.COLLAPSE
-    elif not motion.complete:
-        end, detail = SimulationEnd.CONSTRAINT_SINGULARITY, ""
-    return Simulation(
-        times=motion.times,
-        q=motion.q,
-        v=motion.v,
-        a=motion.a,
-        readings=readings,
-        leg_forces=motion.tau,
-        kinetic=motion.kinetic,
-        potential=motion.potential,
-        work=motion.work,
-        closure_gap=np.array(gaps),
-        end=end,
-        detail=detail,
-        limit_excess=excess,
-    )
+        gaps.append(np.linalg.norm(kinematics.gaps(), axis=-1).max())
+    if motion.detail == SimulationEnd.SINGULARITY:
+        motion = replace(motion, end=SimulationEnd.SINGULARITY, detail="")
+    return Simulation(**vars(motion), readings=readings, closure_gap=np.array(gaps), limit_excess=excess)

@@ -7,6 +7,7 @@ an `ArgumentError`, which `raised_as` turns into another kind.
 
 from __future__ import annotations
 
+import inspect
 import operator
 from collections.abc import Callable, Collection, Sequence
 from typing import Any, TypeVar
@@ -58,6 +59,21 @@ def check_instance(value: Any, kind: type[Kind], argument: str, cause: str = "")
         article = "an" if kind.__name__[0] in "AEIOU" else "a"
         raise ArgumentError(argument, f"{article} {kind.__name__}", type(value).__name__, cause)
     return value
+
+
+def check_function(value: Any, argument: str, *parameters: str, meaning: str = "") -> None:
+    """Raise `ArgumentError` unless this is a function that can be called with these positional parameters."""
+    expected = f"a function of {', '.join(parameters)}{meaning}"
+    if not callable(value):
+        raise ArgumentError(argument, expected, type_and_value(value))
+    try:
+        signature = inspect.signature(value)
+    except (TypeError, ValueError):  # functions of other languages may have none
+        return
+    try:
+        signature.bind(*parameters)
+    except TypeError as error:
+        raise ArgumentError(argument, expected, f"one of {signature}") from error
 
 
 def check_progress(value: object, told: str = "a description, the number done, and the total") -> None:

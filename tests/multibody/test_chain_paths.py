@@ -139,8 +139,10 @@ def test_invalid_paths_and_trajectories_are_refused() -> None:
         path([0.0, 2.1])
     robot = chain()
     q = robot.joint_values(spm.inverse_displacement(PAPER, WAYPOINTS[0]).physical())
-    with pytest.raises(ArgumentError, match=r"^path: expected a PlatformPath or another function"):
-        robot.joint_trajectory(WAYPOINTS, [0.0, 1.0], q)
+    for path_of_wrong_kind in (WAYPOINTS, lambda: None, lambda t, q: None):
+        with pytest.raises(ArgumentError) as caught:
+            robot.joint_trajectory(path_of_wrong_kind, [0.0, 1.0], q)
+        assert (caught.value.argument, caught.value.index) == ("path", "")
     with pytest.raises(ArgumentError, match=r"^path: expected real numbers .* twist of the platform"):
         robot.joint_trajectory(lambda t: PlatformMotion(POSE, np.zeros(3), np.zeros(6)), [0.0, 1.0], q)
     for motion in (None, (POSE, np.zeros(6))):

@@ -13,7 +13,8 @@ from multibody.chains import NAMES, PAPER, Array, chain, frame_jacobian
 
 import spm_pin as spm
 from spm_pin.errors import ArgumentError, ClosureError
-from spm_pin.multibody.simulation import LEAST_CONSTRAINED, SimulationEnd
+from spm_pin.multibody import SimulationEnd
+from spm_pin.multibody.simulation import LEAST_CONSTRAINED
 
 pytest.importorskip("pinocchio")
 
@@ -181,7 +182,7 @@ def test_limits_and_singularities_are_passed_through(kind: str) -> None:
 def test_a_constraint_singularity_ends_a_run() -> None:
     robot, q = chain(), reference()
     run = robot.simulate(q, np.zeros(18), None, np.linspace(0.0, 5.0, 51))
-    assert run.end is SimulationEnd.CONSTRAINT_SINGULARITY
+    assert run.end is SimulationEnd.SINGULARITY
     assert robot.state(run.q[-1]).singular_values().constraint == pytest.approx(LEAST_CONSTRAINED, rel=1e-3)
     assert np.abs(run.energy_error).max() <= 1e-9 * run.energy[0]
     assert run.times[-1] < 5.0
@@ -190,7 +191,7 @@ def test_a_constraint_singularity_ends_a_run() -> None:
 def test_a_leg_of_no_length_ends_a_run() -> None:
     robot, rest = chain(), np.zeros(18)
     run = robot.simulate(rest, rest, np.full(6, -3000.0), np.linspace(0.0, 2.0, 21))
-    assert run.end is SimulationEnd.COLLAPSE
+    assert run.end is SimulationEnd.EVENT
     assert run.detail in spm.machine.LEGS
     assert run.readings[-1].min() == pytest.approx(1e-6 * robot.machine.middle_side, rel=1e-6)
 
@@ -207,13 +208,28 @@ def test_errors_of_callables_reach_the_caller() -> None:
             chain().simulate(reference(), np.zeros(18), times=[0.0, 1.0], **given)
 
 
+@pytest.mark.parametrize(
+    ("argument", "given"),
+    [
+        ("forces", {"forces": lambda t: np.zeros(6)}),
+        ("forces", {"forces": lambda: np.zeros(6), "period": 0.1}),
+        ("wrench", {"forces": None, "wrench": lambda t, q: np.zeros(6)}),
+    ],
+)
+def test_functions_of_other_arguments_are_refused(argument: str, given: dict[str, Any]) -> None:
+    with pytest.raises(ArgumentError) as caught:
+        chain().simulate(reference(), np.zeros(18), times=[0.0, 1.0], **given)
+    assert caught.value.argument == argument
+    assert caught.value.expected == "a function of t, q, v"
+
+
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("begin", [0.0, 1.0])
 @pytest.mark.parametrize("size", [1e30, 1e99, 1e200, 1e308])
 def test_huge_forces_end_a_simulation(size: float, begin: float) -> None:
     run = chain().simulate(reference(), np.zeros(18), np.full(6, size), [begin, begin + 0.1])
-    assert run.end in (SimulationEnd.STALLED, SimulationEnd.CONSTRAINT_SINGULARITY)
-    assert run.detail or run.end is SimulationEnd.CONSTRAINT_SINGULARITY
+    assert run.end in (SimulationEnd.STALLED, SimulationEnd.SINGULARITY)
+    assert run.detail or run.end is SimulationEnd.SINGULARITY
     assert np.isfinite(run.q).all()
 
 
