@@ -58,14 +58,13 @@ _PAIRS = {n: np.array([(i, j) for i in range(n) for j in range(i + 1, n) if j !=
 """Pairs of the legs of a stage, or of a manipulator, that have no joint in common, by their indices."""
 _ANGLES = {"hip": "passive"} | {name: name for name in ("ball_x", "ball_y", "ball_z")}
 """Names of the limits of angles, and of the angles."""
-_STARTS = 32
-"""Number of start states: the one whose platform joints are nearest to the target's, and others far from it."""
+_STARTS, _STARTS_BESIDE = 32, 7
+"""Number of start states: the one whose platform joints are nearest to the target's, and others far from it; and the
+same beside a last state without leg limits."""
 _MODE_TOLERANCE = 1e-7
 """Distance of balls, over d, from those of the readings in the mode of `near`, above which a search has left it."""
-_FREE_SAMPLE, _FREE_STARTS, _SEED = 4096, 32, 20_140_131
-"""Size of the sample from which starts are taken without leg limits, number of starts, and seed."""
-_SPREADS = 4 * (0.1, 0.3, 1.0)
-"""Without leg limits searches begin again at these distances from where they ended, in the coordinates."""
+_FREE_FEW, _SEED = 22, 20_140_131
+"""Number of states of each stage, of which all pairs are considered as starts without leg limits, and their seed."""
 _OFF_THE_EDGE = 1e-5
 """Step in the coordinates away from where two branches meet: there rounding decides whether they are real."""
 
@@ -429,11 +428,8 @@ def _nearest_within(
     joints, targets = machine.platform_joints, _joint_positions(machine, matrices)
     if near is None:
         states = states_within(machine, limits)
-        pairs, places = states.pairs_of_few(joints)
-        ends = []
-        for target in targets:
-            order = np.argsort(((places - target) ** 2).sum(axis=-1))
-            ends.append(nearest_state(states, target, _unlike(pairs[order], _STARTS), joints))
+        pairs, places = states.pairs(states.few, joints)
+        ends = [nearest_state(states, target, _starts(pairs, places, target), joints) for target in targets]
         return states.states(np.array(ends).reshape(-1, 2, 3))  # type: ignore[no-any-return]
     states, start = states_around(near, limits)
     result = nearest_states(states, targets, np.broadcast_to(start, (len(targets), 1, 2, 3)), joints)
@@ -447,9 +443,12 @@ def _nearest_within(
     return states.states(np.where(kept[:, None, None], result.coordinates, start))  # type: ignore[no-any-return]
 
 
-def _unlike(states: FloatArray, count: int) -> FloatArray:
-    """Return the first of states (n, 2, 3) and others (count in all), each the farthest from those before it."""
-    chosen, nearest = [0], np.full(len(states), np.inf)
+def _starts(states: FloatArray, places: FloatArray, target: FloatArray, count: int = _STARTS) -> FloatArray:
+    """Return the one of states (n, 2, 3) whose joints, `places` (n, 9), are nearest to the target's, and unlike ones.
+
+    They are `count` in all, each the farthest from those before it.
+    """
+    chosen, nearest = [int(np.nanargmin(((places - target) ** 2).sum(axis=-1)))], np.full(len(states), np.inf)
     for _ in range(count - 1):
         nearest = np.minimum(nearest, ((states - states[chosen[-1]]) ** 2).sum(axis=(-1, -2)))
         chosen.append(int(nearest.argmax()))
@@ -463,36 +462,25 @@ def _nearest_real(machine: Manipulator, matrices: FloatArray, branch: str, near:
     if not len(left):
         return solved
     states, joints = free_states(machine, branch[:2]), machine.platform_joints
-    targets, rng = _joint_positions(machine, matrices[left]), np.random.default_rng(_SEED)
-    sample = np.empty((_FREE_SAMPLE, 2, 3))
-    # Most near the rim of the unit circle: in families of two modes the nearest states are there.
-    radius = np.sqrt(1.0 - rng.uniform(0.0, 1.0, sample.shape[:2]) ** 2)
-    angle = rng.uniform(0.0, 2.0 * np.pi, sample.shape[:2])
-    sample[..., 0], sample[..., 1] = radius * np.cos(angle), radius * np.sin(angle)
-    heights = rng.uniform(-1.0, 1.0, sample.shape[:2]) / states.radius
-    nearest = []
-    for target in targets:
-        sample[..., 2] = heights * (np.abs(target).max() + machine.middle_side)
-        distance = ((states.positions(sample, joints) - target) ** 2).sum(axis=-1)
-        nearest.append(sample[np.argpartition(distance, _FREE_STARTS)[:_FREE_STARTS]])
-    starts = np.array(nearest)
+    rng = np.random.default_rng(_SEED)
+    tilts = rng.normal(size=(2, _FREE_FEW, 3))
+    tilts *= np.sign(tilts[..., :1]) / np.linalg.norm(tilts, axis=-1, keepdims=True)
+    heights = rng.uniform(-1.0, 1.0, tilts.shape[:2]) / states.radius
+    last = np.empty((0, 2, 3))
     if near is not None and FAMILIES[int(family(near))] == branch[:2]:
         last = states.coordinates(Configuration(machine, near.pose.as_matrix()[None], near.middle_joints[None]))
-        starts = np.concatenate([np.broadcast_to(last, (len(left), 1, 2, 3)), starts], axis=1)
-    result = nearest_states(states, targets, starts, joints)
-    for spread in _SPREADS:
-        # Again from around the ends, and from (-x, -y), which is the same turn at the edge of the unit circle.
-        around = result.coordinates[:, None] + spread * rng.normal(size=(len(left), _FREE_STARTS, 2, 3))
-        around[..., :2] *= rng.choice([-1.0, 1.0], size=(*around.shape[:3], 1))
-        around[..., :2] /= np.maximum(np.hypot(around[..., 0], around[..., 1]) / 0.98, 1.0)[..., None]
-        again = nearest_states(states, targets, around, joints)
-        nearer = np.flatnonzero(again.distance < result.distance)
-        result.update(nearer, again, nearer)
+    ends = []
+    for target in _joint_positions(machine, matrices[left]):
+        # Scalar part aside, the quaternion of a random tilt; and any height at which the target may be.
+        lower, upper = np.dstack([tilts[..., 1:], heights * (np.abs(target).max() + machine.middle_side)])
+        starts = _starts(*states.pairs((lower, upper), joints), target, _STARTS_BESIDE if len(last) else _STARTS)
+        ends.append(nearest_state(states, target, np.concatenate([last, starts]), joints))
+    coordinates = np.array(ends)
     # Where the branch becomes real it meets another: a step along the motion that keeps the pose separates them.
-    step = _OFF_THE_EDGE * np.linalg.svd(states.jacobians(result.coordinates))[2][:, -1].reshape(-1, 2, 3)
-    room = 0.5 * (1.0 - np.hypot(*np.moveaxis(result.coordinates[..., :2], -1, 0)).max(axis=-1))
+    step = _OFF_THE_EDGE * np.linalg.svd(states.jacobians(coordinates))[2][:, -1].reshape(-1, 2, 3)
+    room = 0.5 * (1.0 - np.hypot(*np.moveaxis(coordinates[..., :2], -1, 0)).max(axis=-1))
     step *= np.minimum(room / _OFF_THE_EDGE, 1.0)[:, None, None]
-    sides = [states.states(result.coordinates + sign * step) for sign in (1.0, -1.0)]
+    sides = [states.states(coordinates + sign * step) for sign in (1.0, -1.0)]
     with np.errstate(invalid="ignore"):  # a step off the edge that leads nowhere is NaN
         wanted = branch_sign(sides[0]) * (1.0 if branch[2] == "+" else -1.0) > 0.0
     arrays = []

@@ -380,14 +380,17 @@ class StateSet:
             stages = [self.draw_stages(stage, _FEW, rng)[0] for stage in range(len(stages))]
         return [stage[:_FEW] for stage in stages]
 
-    def pairs_of_few(self, body: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the states (N, 2, 3) of all pairs of `few`, and where they put points `body` (K, 3) [m], (N, 3K)."""
-        lower, upper = (self.stages(stage, few) for stage, few in enumerate(self.few))
+    def pairs(self, few: Sequence[FloatArray], body: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the states (N, 2, 3) of all pairs of a few of each stage, and their points `body` (K, 3) [m], (N, 3K).
+
+        `few` are coordinates (n, 3) of lower stages and (m, 3) of upper ones.
+        """
+        lower, upper = (self.stages(stage, coordinates) for stage, coordinates in enumerate(few))
         rotation = lower.rotation[:, None] * self.mode_turn @ upper.rotation.mT
         centre = lower.centre[:, None] - (rotation @ upper.centre[..., None])[..., 0]
         points = centre[:, :, None] + body @ rotation.mT
         first, second = np.indices(points.shape[:2]).reshape(2, -1)
-        return np.stack([self.few[0][first], self.few[1][second]], axis=1), points.reshape(len(first), -1)
+        return np.stack([few[0][first], few[1][second]], axis=1), points.reshape(len(first), -1)
 
     @cached_property
     def sample(self) -> FloatArray:

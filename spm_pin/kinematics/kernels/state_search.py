@@ -144,8 +144,8 @@ def _evaluate_stage(problem: Problem, stage: int, coordinates: FloatArray, state
     return evaluate_stage(coordinates, legs, problem.radius, upward, aspect, state.values[stage], state.slopes[stage])
 
 
-# One nearest pose takes some 200 calls, each counted as two members, for its stages.
-@kernel(f"void(f8[:, ::1], {_PROBLEM}, f8[::1], f8[:, ::1], f8[::1], f8[:, ::1], i8[::1])", few=2000)
+# One nearest pose takes some 1,500 calls, each counted as two members, for its stages.
+@kernel(f"void(f8[:, ::1], {_PROBLEM}, f8[::1], f8[:, ::1], f8[::1], f8[:, ::1], i8[::1])", few=5000)
 def state_terms(coordinates, constants, points, moved, limited, rates, places):
     """Write what the state at coordinates (2, 3) is, and the derivatives of all by its six coordinates.
 
