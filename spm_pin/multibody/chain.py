@@ -89,9 +89,9 @@ class ClosedChain:
 
     def __init__(self, urdf: str, machine: Manipulator | Stage, prefix: str = "") -> None:
         self._urdf, self.machine, self.prefix = urdf, machine, prefix
-        self.model = pin.buildModelFromXML(urdf)
         self.closures = read_closures(machine, prefix=prefix)
-        self._constrained = ConstrainedModel(self.model, self.closures, machine, prefix)
+        self._constrained = ConstrainedModel(pin.buildModelFromXML(urdf), self.closures, machine, prefix)
+        self.model = self._constrained.model
         self._of_thread = threading.local()
         self.joint_names, self.leg_indices = self._constrained.names, self._constrained.legs
         self._order = np.argsort(self._constrained.joint_indices(*value_names(machine)))

@@ -134,7 +134,7 @@ class ConstrainedModel:
     """
 
     def __init__(self, model: Any, closures: tuple[Closure, ...], machine: Machine, prefix: str) -> None:
-        self.model, self.closures, self.machine = model, closures, machine
+        self.closures, self.machine = closures, machine
         self.is_stage = isinstance(machine, Stage)
         self.freedoms = np.array([2, 3, 4] if self.is_stage else range(6), dtype=np.intp)
         joints = {name: model.joints[model.getJointId(prefix + name)] for name in joint_names(machine)}
@@ -172,6 +172,8 @@ class ConstrainedModel:
         self.pairs = [[int(model.getFrameId(name)) for name in (c.frame_a, c.frame_b)] for c in closures]
         ends = [LoopClosure("point", Anchor(c.frame_a), Anchor(c.frame_b), c.name) for c in closures]
         self.loops = LoopChain(model, ends, [self.names[k] for k in self.legs])
+        # It has copied the model.
+        self.model = self.loops.model
 
     def joint_indices(self, *names: str) -> IntArray:
         """Return the indices (n,) of joints among the mechanism's, with or without prefix."""

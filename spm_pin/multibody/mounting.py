@@ -35,7 +35,7 @@ class MountedChain:
 
     def __init__(self, chain: Any, other: Any, model: Any, collisions: Any, visuals: Any) -> None:
         self._constrained = ConstrainedModel(model, chain.closures, chain.machine, chain.prefix)
-        self.chain, self.model = chain, model
+        self.chain, self.model = chain, self._constrained.model
         self._other, self._shapes = other, (collisions, visuals)
         self._q, self.chain_indices = self._places(chain.model)
         self._other_q, self.other_indices = self._places(other)
