@@ -6,6 +6,7 @@ within the unit circle are a state, and poses and readings are smooth functions 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, Literal
