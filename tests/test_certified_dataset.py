@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from as_built_oracle import root_near
+from calibrated_oracle import root_near
 from oracle import certified_counts
 
 import spm_pin as spm

@@ -171,7 +171,7 @@ def _turned(page: str, origin: Path, origins: dict[str, Path]) -> str:
 def _contents(found: dict[str, str]) -> str:
     """Return the tables of contents: what stands first, and then whatever else a folder holds."""
     kinematics = ("inverse_displacement", "forward_displacement", "rates_forces_singularities")
-    theory = ("README", *kinematics, "literature_checks", "workspace", "reachable_set", "proofs", "as_built")
+    theory = ("README", *kinematics, "literature_checks", "workspace", "reachable_set", "proofs", "calibrated")
     guides = ("ball_balancer", "gallery", "batches", "paths", "motion", "workspace", "viewer", "pipelines", "loops")
     guides += ("load_elsewhere", "controller", "microcontroller", "sweep")
     chapters = {

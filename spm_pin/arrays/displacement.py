@@ -98,10 +98,10 @@ def inverse_displacement(machine: Manipulator | Array, rotation: Array, translat
     """
     problem = _Inverse(machine, rotation, translation)
     library = problem.library
-    if not problem.machine.is_drawn:
+    if not problem.machine.is_nominal:
         cause = "Its eight roots have no closed form: use inverse_physical, or dimensions E, C, d of a nominal machine"
         raise ArgumentError("machine", "a nominal machine", "a calibrated one, as parameters always are", cause)
-    b, exists = problem.drawn_branches(range(len(FAMILIES)), 0.0)
+    b, exists = problem.nominal_branches(range(len(FAMILIES)), 0.0)
     b = problem.with_derivatives(b, exists)
     zero, (readings, reach) = library.zeros(b[0][0]), _readings(library, problem.machine, problem.pose, b)
     arrays = library.stacked(b, zero), library.stacked(readings, zero), exists & (reach >= 0.0)
@@ -138,10 +138,10 @@ def inverse_physical(
         b, exists = problem.closed(start)
         before = _Inverse(machine, near.rotation, near.translation, near)
         exists = exists & (problem.side(b) * before.side(start) > 0.0) & near.exists
-    elif problem.machine.is_drawn:
-        b, exists = problem.preferred(*problem.drawn_branches([0], 0.0))
+    elif problem.machine.is_nominal:
+        b, exists = problem.preferred(*problem.nominal_branches([0], 0.0))
     else:
-        starts = [problem.drawn_branches([0], least)[0] for least in _APART]
+        starts = [problem.nominal_branches([0], least)[0] for least in _APART]
         starts = mapped(lambda *parts: problem.library.xp.concat(parts), *starts)
         b, exists = problem.preferred(*problem.closed(starts))
     b = problem.with_derivatives(b, exists)
@@ -254,7 +254,7 @@ class _Inverse:
         # The same, without derivatives.
         self._machine, self._pose, self._legs = self.library.constant((self.machine, self.pose, self.legs))
 
-    def drawn_branches(self, families: Any, least: float) -> tuple[Any, Any]:
+    def nominal_branches(self, families: Any, least: float) -> tuple[Any, Any]:
         """Return the balls (2 n, ...) of the branches + and - of families of the nominal machine, and which are real.
 
         A discriminant below `least` times r² is taken for that.
@@ -312,7 +312,7 @@ class _Inverse:
         def correction(b: Any, motions: BallMotions) -> Any:
             c, squares = self.machine.upper_balls(library, b), self.machine.squares[0]
             errors = run(ball_motions.structure_errors, b, c, *self.legs, squares)
-            if machine.is_drawn:
+            if machine.is_nominal:
                 return run(ball_motions.velocities, motions, errors)
             return run(ball_motions.structure_velocities, motions, errors, upper.axes, machine.weights)
 

@@ -169,7 +169,7 @@ class MachineOnArrays(NamedTuple):
     joint_names: tuple[str, ...]  # of the URDF
     limits: tuple[tuple[float, ...], tuple[float, ...]]
     middles: tuple[Any, ...]  # see `planar_legs.crank_middle`
-    is_drawn: bool
+    is_nominal: bool
     valid: Any  # where its numbers are those of a machine, see `Manipulator`
 
     @property
@@ -179,7 +179,7 @@ class MachineOnArrays(NamedTuple):
 
     def upper_balls(self, library: Library, b: Any) -> Any:
         """Return the upper legs' balls from the lower ones'."""
-        return b if self.is_drawn else library.run(leg_planes.upper_balls, b, self.weights)
+        return b if self.is_nominal else library.run(leg_planes.upper_balls, b, self.weights)
 
     def places(self, library: Library, balls: Sequence[Any]) -> list[Any]:
         """Return x and z of the six balls, seen from the plates that the legs stand on, in the planes of their legs."""

@@ -63,7 +63,7 @@ def inverse_jacobian(machine: Manipulator | Array, state: State | Configuration)
     library, run = legs.library, legs.library.run
     directions, stage = (legs.lower_directions, legs.upper_directions), (legs.b, legs.upper.axes, legs.lower.axes)
     determinant = run(wrenches.determinant, *stage)
-    if legs.machine.is_drawn:
+    if legs.machine.is_nominal:
         b, a_m, a = legs.regular(stage, determinant)
         stages = run(wrenches.drawn_inverse_jacobian, b, *directions, a, a_m, legs.pose[1])
     else:

@@ -18,8 +18,8 @@ import casadi as ca
 import numpy as np
 
 from spm_pin.casadi.symbolic_machine import (
-    Drawn,
     MachineInCasadi,
+    NominalBranches,
     StateInCasadi,
     all_of,
     columns,
@@ -69,9 +69,9 @@ def inverse_physical(machine: Dimensions = None, *, parameters: bool = False) ->
     to 1e9 m. A rotation is not repaired: below that bound its error is also one of the other outputs.
     """
     symbolic, rotation, position = MachineInCasadi(machine, parameters), *_pose()
-    if not symbolic.is_drawn:
+    if not symbolic.is_nominal:
         return _as_built_inverse(symbolic, rotation, position)
-    drawn = Drawn(symbolic, rotation, position)
+    drawn = NominalBranches(symbolic, rotation, position)
     joints = [drawn.branch("TT", sign) for sign in (1.0, -1.0)]
     states = [StateInCasadi(symbolic, b, rotation, position) for b in joints]
     (plus, plus_tilts), (minus, minus_tilts) = (preference(symbolic, state) for state in states)
@@ -106,10 +106,10 @@ def inverse_branch(branch: str, machine: Dimensions = None) -> ca.Function:
     """
     choice(branch, "branch", BRANCHES)
     symbolic, rotation, position = MachineInCasadi(machine), *_pose()
-    if not symbolic.is_drawn:
+    if not symbolic.is_nominal:
         cause = "The eight roots of a calibrated machine have no closed form; inverse_physical takes it"
         raise ArgumentError("machine", "a nominal machine", "a calibrated machine", cause)
-    drawn, family = Drawn(symbolic, rotation, position), branch[:2]
+    drawn, family = NominalBranches(symbolic, rotation, position), branch[:2]
     joints = drawn.branch(family, 1.0 if branch[2] == "+" else -1.0)
     state = StateInCasadi(symbolic, joints, rotation, position)
     outputs = {
@@ -259,7 +259,7 @@ def jacobian_of(state: StateInCasadi) -> dict[str, Any]:
     """Return J_f of a state."""
     (b, c), axes = stages_of(state.balls), stages_of(state.axes)
     lower, upper = stages_of(state.directions)
-    if state.machine.is_drawn:
+    if state.machine.is_nominal:
         rows = in_casadi(wrenches.drawn_inverse_jacobian)(b, lower, upper, *axes, parts(state.position))
     else:
         rows = in_casadi(wrenches.inverse_jacobian)(b, c, lower, upper, *axes, parts(state.position))
@@ -416,7 +416,7 @@ def frame_of(b: Sequence[Any], own: Sequence[Any]) -> tuple[Any, Any]:
     return ca.vertcat(*(ca.horzcat(*row) for row in rotation)), ca.vertcat(*position)
 
 
-def drawn_starts(machine: MachineInCasadi, drawn: Drawn) -> list[Any]:
+def nominal_starts(machine: MachineInCasadi, drawn: NominalBranches) -> list[Any]:
     """Return the starts of Newton's method: TT+ and TT- of the nominal machine, and both with larger discriminants.
 
     Close to a nominal fold the branches of a calibrated machine are elsewhere, or real where nominal ones are not.
@@ -442,8 +442,8 @@ def within_limits(machine: MachineInCasadi, readings: Any) -> list[Any]:
 
 def _as_built_inverse(machine: MachineInCasadi, rotation: Any, position: Any) -> ca.Function:
     """Make `inverse_physical` of a calibrated machine, by Newton's method from the nominal branches TT."""
-    drawn, unknowns = Drawn(machine, rotation, position), ca.SX.sym("unknowns", 6)
-    starts = drawn_starts(machine, drawn)
+    drawn, unknowns = NominalBranches(machine, rotation, position), ca.SX.sym("unknowns", 6)
+    starts = nominal_starts(machine, drawn)
     error = closure_equations(machine, unknowns, rotation, position)
     joints = ca.horzcat(*(machine.planes[i].point(unknowns[2 * i : 2 * i + 2]) for i in range(3))).T
     state = StateInCasadi(machine, joints, rotation, position)

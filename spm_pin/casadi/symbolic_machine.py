@@ -129,7 +129,7 @@ class MachineInCasadi:
         self.inputs: list[Any] = []
         self.valid: Any = 1
         parameters = as_bool(parameters, "parameters")
-        self.is_drawn = not parameters
+        self.is_nominal = not parameters
         if isinstance(machine, str) and machine == "symbolic" and not parameters:
             self._set_kinds(Manipulator(1.0, 1.0, 1.0))
             self.inputs = [ca.SX.sym("dimensions", 3)]
@@ -149,7 +149,7 @@ class MachineInCasadi:
                 self.numbers[leg], further = (*further[:count], *own[count:]), further[count:]
             self._check_numbers()
         elif not machine.is_nominal:
-            self.is_drawn = False
+            self.is_nominal = False
             axes, pivots, balls = ([ca.SX(v) for v in array] for array in machine.legs.arrays[:3])
             self._set_legs(axes, pivots, balls, ca.SX(machine.legs.offsets))
 
@@ -161,7 +161,7 @@ class MachineInCasadi:
         """
         symbolic, kinds = cls(), machine.legs.kinds
         symbols = {name: ca.SX.sym(name, count) for name, count in fields_of(kinds).items()}
-        symbolic.inputs, symbolic.is_drawn = list(symbols.values()), False
+        symbolic.inputs, symbolic.is_nominal = list(symbols.values()), False
         symbolic._set_kinds(machine)
         numbers = ca.vertsplit(ca.vertcat(*symbolic.inputs[len(FIELDS) :]))
         for leg, fixed in enumerate(symbolic.numbers):
@@ -174,10 +174,10 @@ class MachineInCasadi:
         symbolic.minimum, symbolic.maximum = symbols["minimum"], symbols["maximum"]
         return symbolic
 
-    def drawing(self) -> MachineInCasadi:
+    def nominal(self) -> MachineInCasadi:
         """Return a machine whose axes, pivots and balls are nominal, and all else this one's."""
         drawn = copy(self)
-        drawn.is_drawn = True
+        drawn.is_nominal = True
         drawn._draw(self.base, self.platform, self.side)
         drawn.offsets, drawn.valid = self.offsets, self.valid
         return drawn
@@ -234,7 +234,7 @@ class MachineInCasadi:
 
     def ball_weights(self) -> Any:
         """Return the weights of `spm_pin.formulas.leg_planes.upper_balls`."""
-        if self.is_drawn:
+        if self.is_nominal:
             return [(0.0, 0.0, 0.0)] * 3
         return in_casadi(leg_planes.upper_ball_weights)(*stages_of(self.balls))
 
@@ -381,7 +381,7 @@ class StateInCasadi:
         return ca.logic_and(physical, self.reach >= 0.0), in_casadi(branches.tilt_cosine_sum)(b, turn)
 
 
-class Drawn:
+class NominalBranches:
     """The closed form of the nominal machine at a pose."""
 
     def __init__(self, machine: MachineInCasadi, rotation: Any, position: Any) -> None:

@@ -19,8 +19,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from spm_pin.casadi import functions
 from spm_pin.casadi.symbolic_machine import (
-    Drawn,
     MachineInCasadi,
+    NominalBranches,
     StateInCasadi,
     all_of,
     fields_of,
@@ -236,8 +236,8 @@ def _formulas(machine: Manipulator) -> str:
     flat, position, balls = (ca.SX.sym(name, n) for name, n in (("r", 9), ("o", 3), ("balls", 6)))
     joints, rotation = ca.SX.sym("joints", 9), _matrix(flat)
     state, pose = StateInCasadi(symbolic, _matrix(joints), rotation, position), [flat, position]
-    drawing = symbolic.drawing()
-    drawn = Drawn(drawing, rotation, position)
+    drawing = symbolic.nominal()
+    drawn = NominalBranches(drawing, rotation, position)
 
     def made(name: str, inputs: list[Any], *outputs: Any) -> ca.Function:
         dense = ca.cse([_flat(x) for x in outputs])
@@ -276,8 +276,8 @@ def _formulas(machine: Manipulator) -> str:
     forces = [state.force_rows(x) for x in (state.directions, state.axes)]
     made_functions.append(made("force_rows", [joints, *pose], *forces))
 
-    starts = ca.vertcat(*functions.drawn_starts(symbolic, drawn)[:2])
-    made_functions.append(made("drawn_branches", pose, starts, drawn.is_continuous("TT")))
+    starts = ca.vertcat(*functions.nominal_starts(symbolic, drawn)[:2])
+    made_functions.append(made("nominal_branches", pose, starts, drawn.is_continuous("TT")))
     quaternion = ca.SX.sym("quaternion", 4)
     forms, coordinates = functions.quadrics(symbolic, quaternion, rotation, position)
     made_functions.append(made("quadrics", pose, ca.vertcat(*(_flat(form) for form in forms))))
@@ -373,7 +373,7 @@ def _known_answers(machine: Manipulator, available: list[StateFunction]) -> dict
     return {
         "answers": [(f, padded(f.count, f.answer, *f.arguments.values())) for f in available],
         "height": rise,
-        "is_drawn": _is_drawn(machine),
+        "is_nominal": _is_nominal(machine),
         "rotations": pose.rotation.as_matrix().reshape(-1, 9),
         "positions": pose.translation,
         "branch_readings": branches.reshape(len(pose), -1),
@@ -394,7 +394,7 @@ def _held_states(machine: Manipulator, rng: np.random.Generator) -> Configuratio
     return states[regular & (apart < 1e-9 * machine.middle_side)]
 
 
-def _is_drawn(machine: Manipulator) -> bool:
+def _is_nominal(machine: Manipulator) -> bool:
     """Return whether axes, pivots and balls are nominal."""
     legs = zip(machine.legs.arrays[:3], machine.nominal.legs.arrays[:3], strict=True)
     return all(np.array_equal(own, drawn) for own, drawn in legs)

@@ -1,4 +1,4 @@
-"""Newton's method on the three balls b_i of the middle platform, for any machine: `docs/theory/as_built.md`.
+"""Newton's method on the three balls b_i of the middle platform, for any machine: `docs/theory/calibrated.md`.
 
 Two components of each ball's velocity are given, q_i along f_i and p_i along a_i: f_i and a_i are the directions of the
 leg and of its axis if the readings are given, the axes of the ball's two legs if the pose is. The velocity is

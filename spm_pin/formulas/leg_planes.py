@@ -1,4 +1,4 @@
-"""The planes of the six legs, and balls that do not coincide, for any machine: `docs/theory/as_built.md`.
+"""The planes of the six legs, and balls that do not coincide, for any machine: `docs/theory/calibrated.md`.
 
 A leg moves in the plane through its pivot that is normal to its revolute axis; a ball of the middle platform stays
 in this plane. Axes and pivots of lower legs are in {B}, of upper legs in {m}.

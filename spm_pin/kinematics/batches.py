@@ -52,7 +52,7 @@ class DrawnBranches(NamedTuple):
 
 
 class BuiltBranches(NamedTuple):
-    """Results of the kernel `as_built_branches`, of N poses."""
+    """Results of the kernel `calibrated_branches`, of N poses."""
 
     rotation: Any
     position: Any

@@ -140,7 +140,7 @@ def _radii(machine: Manipulator, solved: DrawnBranches | BuiltBranches) -> Float
     """Return radii (N, 8) [m] around joints in which exactly one solution exists; NaN if not proved."""
     joints = solved.joints.reshape(-1, 3, 3)
     radius = np.full(len(joints), np.nan)
-    legs, enclosed = (_drawn_legs, _enclosed_rotation) if machine.is_nominal else (_legs, _rows)
+    legs, enclosed = (_nominal_legs, _enclosed_rotation) if machine.is_nominal else (_legs, _rows)
     pieces = legs(machine)
     existing = np.flatnonzero(np.isfinite(joints[:, 0, 0]))
     for first in range(0, len(existing), _CHUNK):
@@ -161,7 +161,7 @@ def _legs(machine: Manipulator) -> tuple[Vectors, Vectors, Vectors, Vectors]:
     return axes, pivots, upper_ball_weights(*lower_and_upper), [dot(edge, edge) for edge in edges]
 
 
-def _drawn_legs(machine: Manipulator) -> tuple[Vectors, Vectors, Vectors, Vectors]:
+def _nominal_legs(machine: Manipulator) -> tuple[Vectors, Vectors, Vectors, Vectors]:
     """Return `_legs` for a nominal machine, exactly: all leg planes contain the Z axis of their platform."""
     root, side = 0.5 * SQRT_3, Interval.from_numbers(machine.middle_side)
     half, one, zero = _vector(np.array([0.5, 1.0, 0.0]))

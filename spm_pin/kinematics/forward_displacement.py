@@ -16,7 +16,7 @@ from spm_pin.kinematics import stage_displacement
 from spm_pin.kinematics.batches import flat_batch, radii, run_kernel, with_batch_shape
 from spm_pin.kinematics.either_machine import or_of_stage
 from spm_pin.kinematics.readings import read_readings
-from spm_pin.kinematics.stage_balls import STAGE_MODES, Drawing, Modes, all_modes, followed_balls, physical_balls
+from spm_pin.kinematics.stage_balls import STAGE_MODES, Modes, NominalStage, all_modes, followed_balls, physical_balls
 from spm_pin.machine.configuration import Configuration, check_configuration
 from spm_pin.machine.joint_angles import homes
 from spm_pin.machine.machine import unit_hint
@@ -81,8 +81,8 @@ def forward_displacement(machine: Manipulator, readings: npt.ArrayLike) -> Solut
     legs = check_manipulator(machine).legs
     checked = read_readings(legs, sum(machine.dimensions), readings)
     shape, readings, n = checked.shape[:-1], checked.reshape(-1, 6), len(ASSEMBLY_MODES)
-    is_drawn = machine.is_nominal and legs.are_rps
-    stages = zip(legs.stages, _of_stages(readings), _drawings(machine), strict=True)
+    is_nominal_rps = machine.is_nominal and legs.are_rps
+    stages = zip(legs.stages, _of_stages(readings), _nominal_stages(machine), strict=True)
     below, above = (all_modes(*stage) for stage in stages)
     # If one stage cannot be closed there is no solution.
     is_absent = (below.status == Status.UNREACHABLE) | (above.status == Status.UNREACHABLE)
@@ -105,7 +105,7 @@ def forward_displacement(machine: Manipulator, readings: npt.ArrayLike) -> Solut
         ASSEMBLY_MODES,
         np.where(largest > 0, Status.DEGENERATE, status),
         degeneracy=Degeneracy(largest, families > 0, np.zeros((*shape, 3), dtype=np.bool_)),
-        merged=None if is_drawn else merged,
+        merged=None if is_nominal_rps else merged,
     )
 
 
@@ -206,13 +206,15 @@ def _check_near(machine: Manipulator, lengths: FloatArray, near: Configuration) 
         raise ArgumentError("near", "a configuration that closes", f"a closure residual of {residual:.1e} m")
 
 
-def _drawings(machine: Manipulator) -> tuple[Drawing, Drawing]:
+def _nominal_stages(machine: Manipulator) -> tuple[NominalStage, NominalStage]:
     """Return the nominal stages. Modes of other legs than RPS have no nominal labels, and take the first that fit."""
     legs, is_rps, (r, base, platform) = machine.nominal.legs, machine.legs.are_rps, radii(machine)
     whole = np.stack([legs.axes, legs.pivots, legs.balls])
-    is_drawn = machine.is_nominal and is_rps
+    is_nominal_rps = machine.is_nominal and is_rps
     lower, upper = (whole[:, half] for half in (slice(3), slice(3, 6)))
-    return Drawing(lower, is_rps, is_drawn, r, base), Drawing(upper, is_rps, is_drawn, r, platform)
+    return NominalStage(lower, is_rps, is_nominal_rps, r, base), NominalStage(
+        upper, is_rps, is_nominal_rps, r, platform
+    )
 
 
 def _continuous_families(below: Modes, above: Modes) -> IntArray:

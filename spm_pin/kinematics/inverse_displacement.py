@@ -2,7 +2,7 @@
 
 Derivation: `docs/theory/inverse_displacement.md`. The equations of a calibrated machine are three quadrics, from its
 six leg planes; all eight roots are found, and the labels of the nominal machine are tracked to them, see
-`docs/theory/as_built.md`.
+`docs/theory/calibrated.md`.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def inverse_displacement(
         For a calibrated machine labels are tracked from the nominal one while the errors grow. `.merged` (..., 8) is
         true if the tracked branch of a label met another one, and for a remaining label given to a real root of this
         machine. The status may be `UNSOLVED`, if not all eight roots could be isolated; see
-        `docs/theory/as_built.md`.
+        `docs/theory/calibrated.md`.
 
     Notes
     -----
@@ -180,13 +180,13 @@ def _method(machine: Manipulator) -> _Method:
         from spm_pin.kinematics.kernels.branch_kernels import all_branches, physical_branch
 
         return _Method(all_branches, physical_branch, radii(machine), DRAWN_BRANCHES, _MIN_BATCH_PER_THREAD)
-    from spm_pin.kinematics.kernels.as_built_kernels import as_built_branches, as_built_physical_branch
+    from spm_pin.kinematics.kernels.calibrated_kernels import calibrated_branches, calibrated_physical_branch
 
     unit = machine.middle_radius
     machines = [(x.axes, x.pivots / unit, x.balls / unit) for x in (machine.nominal.legs, machine.legs)]
     constants = np.stack(machines), unit
     return _Method(
-        as_built_branches, as_built_physical_branch, constants, BUILT_BRANCHES, _MIN_BATCH_PER_THREAD_AS_BUILT
+        calibrated_branches, calibrated_physical_branch, constants, BUILT_BRANCHES, _MIN_BATCH_PER_THREAD_AS_BUILT
     )
 
 

@@ -26,13 +26,13 @@ CentresAndRadii = tuple[FloatArray, FloatArray]
 """Centres (N, 3, 3) and radii (N, 3) [m]."""
 
 
-class Drawing(NamedTuple):
+class NominalStage(NamedTuple):
     """The nominal stage, whose modes have labels."""
 
     legs: FloatArray
     """Axes, pivots and balls [m] (3, 3, 3)."""
     is_rps: bool
-    is_drawn: bool
+    is_nominal_rps: bool
     """True if the stage itself is nominal, with RPS legs."""
     radius: float
     """Radius of the platform, on which the balls are [m]."""
@@ -53,7 +53,7 @@ class Modes(NamedTuple):
     """`Status` (N,), without regard to continuous families."""
 
 
-def all_modes(stage: PlacedLegs, readings: FloatArray, drawing: Drawing) -> Modes:
+def all_modes(stage: PlacedLegs, readings: FloatArray, drawing: NominalStage) -> Modes:
     """Return all modes with readings (N, 3), with the labels of the nominal stage."""
     modes = _modes(stage, _stage_circles(stage, readings), drawing)
     return modes._replace(balls=_in_working_mode(stage, modes.balls, readings[:, None]))
@@ -102,7 +102,7 @@ def followed_balls(legs: Legs, balls: FloatArray, start: FloatArray, end: FloatA
 
 def _home_modes(stage: PlacedLegs, locked: CentresAndRadii, readings: FloatArray) -> FloatArray:
     """Return the balls (N, 3, 3) [m] of the first mode that is in the home assembly region, NaN where no mode is."""
-    unlabelled = Drawing(np.stack([stage.axes, stage.pivots, stage.balls]), False, False, 1.0, 1.0)
+    unlabelled = NominalStage(np.stack([stage.axes, stage.pivots, stage.balls]), False, False, 1.0, 1.0)
     modes = _in_working_mode(stage, _modes(stage, locked, unlabelled).balls, readings[:, None])
     (centres, _), none = locked, np.zeros(3)
     three: Any = formulas.Circles(rows_of(stage.axes), rows_of(centres[:, None]), none, none)  # type: ignore[arg-type]
@@ -138,7 +138,7 @@ def _stage_circles(stage: PlacedLegs, readings: FloatArray) -> CentresAndRadii:
     return centres, radii
 
 
-def _modes(stage: PlacedLegs, locked: CentresAndRadii, drawing: Drawing) -> Modes:
+def _modes(stage: PlacedLegs, locked: CentresAndRadii, drawing: NominalStage) -> Modes:
     from spm_pin.kinematics.kernels.circle_modes import modes_of_stages
 
     constants = stage.axes, stage.balls, *drawing, stage.up

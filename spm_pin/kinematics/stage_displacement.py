@@ -13,7 +13,7 @@ from spm_pin.formulas.planar_legs import MOST_TURNED, RRS_LEGS
 from spm_pin.formulas.stage_poses import LEAST_RISE
 from spm_pin.kinematics.batches import flat_batch, run_kernel, with_batch_shape
 from spm_pin.kinematics.readings import read_readings
-from spm_pin.kinematics.stage_balls import STAGE_MODES, Drawing, all_modes, followed_balls, physical_balls
+from spm_pin.kinematics.stage_balls import STAGE_MODES, NominalStage, all_modes, followed_balls, physical_balls
 from spm_pin.machine.leg_kinds import RPS
 from spm_pin.machine.legs import PlacedLegs
 from spm_pin.machine.machine import likely_unit
@@ -179,7 +179,7 @@ def forward(stage: Stage, readings: npt.ArrayLike) -> StageSolutions:
     read = read_stage_readings(stage, readings)
     shape, flat, n = read.shape[:-1], read.reshape(-1, 3), len(STAGE_MODES)
     is_rps, drawn = isinstance(stage.kind, RPS), np.stack(stage.nominal.legs.arrays[:3])
-    drawing = Drawing(drawn, is_rps, is_rps and stage.is_nominal, stage.platform_radius, stage.base_radius)
+    drawing = NominalStage(drawn, is_rps, is_rps and stage.is_nominal, stage.platform_radius, stage.base_radius)
     balls, _, continuous, status = all_modes(_half(stage), flat, drawing)
     modes = _of_balls(stage, (*shape, n), balls, read[..., None, :])
     status = status.reshape(shape)

@@ -104,14 +104,14 @@ class LegKind:
         return frozen(np.array(rows, dtype=np.float64).reshape(len(rows), 3).T)
 
     @property
-    def is_drawn(self) -> bool:
+    def has_equal_legs(self) -> bool:
         """Whether the three legs have equal numbers."""
         return not any(isinstance(getattr(self, field.name), tuple) for field in fields(self))
 
     @property
     def nominal(self) -> LegKind:
         """The legs with the mean of each number in all three."""
-        if self.is_drawn:
+        if self.has_equal_legs:
             return self
         return self.with_numbers(np.tile(self.numbers[:, : len(self.identified)].mean(axis=0), (3, 1)))
 

@@ -242,7 +242,7 @@ class Legs:
     balls: FloatArray
     offsets: FloatArray
     kinds: tuple[LegKind, ...] = (RPS(), RPS())
-    is_drawn: bool = field(default=False, init=False)
+    is_nominal: bool = field(default=False, init=False)
     """True for legs that a `Manipulator` or a `Stage` has computed from its dimensions."""
 
     @raised_as(GeometryError)
@@ -543,12 +543,12 @@ class Legs:
 
 
 @functools.lru_cache(maxsize=64)
-def drawn_legs(radii: tuple[tuple[float, float], ...], kinds: tuple[LegKind, ...]) -> Legs:
+def nominal_legs(radii: tuple[tuple[float, float], ...], kinds: tuple[LegKind, ...]) -> Legs:
     """Return the nominal legs, equal within a stage, with pivots and balls at the `radii` of each stage [m]."""
     pivots, balls = (np.concatenate([radius * RADIAL for radius in column]) for column in zip(*radii, strict=True))
     nominal, count = tuple(kind.nominal for kind in kinds), len(kinds)
     legs = Legs(np.tile(AXES, (count, 1)), pivots, balls, np.zeros(3 * count), nominal)
-    object.__setattr__(legs, "is_drawn", True)
+    object.__setattr__(legs, "is_nominal", True)
     return legs
 
 

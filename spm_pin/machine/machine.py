@@ -19,7 +19,7 @@ from spm_pin.errors import ArgumentError, GeometryError, raised_as
 from spm_pin.formulas.operations import on_arrays
 from spm_pin.formulas.planar_legs import MOST_TURNED, crank_middle
 from spm_pin.machine.leg_kinds import RPS, LegKind
-from spm_pin.machine.legs import LegLimits, Legs, drawn_legs
+from spm_pin.machine.legs import LegLimits, Legs, nominal_legs
 from spm_pin.support.arguments import FloatArray, frozen, type_and_value
 from spm_pin.support.files import file_path, read_yaml, write_files
 
@@ -88,11 +88,11 @@ class Machine(ABC):
                 f"Legs of {'three' if len(kinds) == 1 else 'six'}" if isinstance(legs, Legs) else type_and_value(legs)
             )
             raise GeometryError("legs", expected, received)
-        drawn = drawn_legs(self.stage_radii, kinds)
+        drawn = nominal_legs(self.stage_radii, kinds)
         # Legs with different numbers are those of a calibrated machine.
-        if not isinstance(legs, Legs) and not all(kind.is_drawn for kind in kinds):
+        if not isinstance(legs, Legs) and not all(kind.has_equal_legs for kind in kinds):
             legs = Legs(*drawn.arrays, kinds)
-        is_built = isinstance(legs, Legs) and not legs.is_drawn and legs != drawn
+        is_built = isinstance(legs, Legs) and not legs.is_nominal and legs != drawn
         object.__setattr__(self, "legs", legs if is_built else drawn)
 
     def check_limits(self, limits: LegLimits | Sequence[Any]) -> LegLimits:
@@ -170,12 +170,12 @@ class Machine(ABC):
     @cached_property
     def nominal(self) -> Self:
         """The nominal machine with the same dimensions and limits."""
-        return self if self.is_nominal else self._with_legs(drawn_legs(self.stage_radii, self.legs.kinds))
+        return self if self.is_nominal else self._with_legs(nominal_legs(self.stage_radii, self.legs.kinds))
 
     @property
     def is_nominal(self) -> bool:
         """True if the legs are those that follow from the dimensions."""
-        return self.legs.is_drawn
+        return self.legs.is_nominal
 
     @property
     def parameters(self) -> FloatArray:

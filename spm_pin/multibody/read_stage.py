@@ -380,7 +380,7 @@ def _platform(chain: ClosedChain, q: FloatArray, tripod: Tripod) -> tuple[str, R
 def _simplest(stage: Stage, rounding: float) -> Stage:
     """Return the stage with equal numbers in its legs, or the nominal one, if it is that to rounding."""
     alike = stage.kind.nominal
-    if not alike.is_drawn or np.abs(stage.kind.numbers - alike.numbers).max(initial=0.0) > rounding * min(
+    if not alike.has_equal_legs or np.abs(stage.kind.numbers - alike.numbers).max(initial=0.0) > rounding * min(
         stage.size, 1.0
     ):
         return stage

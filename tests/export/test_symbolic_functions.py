@@ -7,7 +7,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
-from as_built_oracle import root_near
+from calibrated_oracle import root_near
 from export.c_library import compile_c, compilers
 from export.c_poses import hard_poses, held_states, possible_lengths, spread_poses
 from flint import arb, arb_mat, ctx

@@ -289,7 +289,7 @@ def test_without_a_place_for_a_cache_every_process_compiles(package: Path, tmp_p
 def test_all_kernels_can_be_compiled_in_advance() -> None:
     spm.kinematics.compile_kernels()
     compiled = all_kernels()
-    assert {"all_branches", "modes_of_stages", "as_built_branches"} <= {x.py_func.__name__ for x in compiled}
+    assert {"all_branches", "modes_of_stages", "calibrated_branches"} <= {x.py_func.__name__ for x in compiled}
     assert all(kernel._compiled is not None for kernel in compiled)
 
 

@@ -121,7 +121,7 @@ def test_dimensions_are_those_that_the_file_was_written_with(name: str) -> None:
         slid = np.dot(tripod.senses, tripod.zeros) / 3.0
         base_radius += tripod.knee()[0] - slid * np.cos(tripod.numbers["direction"])
     np.testing.assert_allclose(stage.dimensions, [base_radius, tripod.platform_radius], rtol=1e-9)
-    assert stage.kind.is_drawn
+    assert stage.kind.is_nominal
     assert found.platform == "plate"
     assert found.joints == chain.actuated == ("a_motor", "b_motor", "c_motor")
     assert found.legs[0] == 0

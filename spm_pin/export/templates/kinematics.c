@@ -118,7 +118,7 @@ static int check_geometry(const {{prefix}}geometry *g)
 }
 
 /* Return whether the legs are nominal, to rounding. */
-static int is_drawn(const {{prefix}}geometry *g)
+static int is_nominal(const {{prefix}}geometry *g)
 {
     double error;
     const double *const in[] = {LEGS(g)};
@@ -701,8 +701,8 @@ static int begin_inverse(const way *w, {{prefix}}state *state)
     double *const out[] = {starts, &is_degenerate};
     int k, best = 0, count = 2;
     put_state_nan(state);
-    if (is_drawn(g)) {
-        drawn_branches(in, out);
+    if (is_nominal(g)) {
+        nominal_branches(in, out);
         if (is_degenerate > 0.0) {
             return {{PREFIX}}DEGENERATE;
         }
@@ -890,7 +890,7 @@ int {{prefix}}all_branches(const {{prefix}}geometry *geometry, const double rota
     const double *const in[] = {r, o, LEGS(geometry)};
     double *const out[] = {branches->joints[0], branches->readings[0], branches->discriminants, real, &is_degenerate};
     int k, count = 0, status = read_pose(geometry, rotation, position, r, o);
-    if (status == {{PREFIX}}OK && !is_drawn(geometry)) {
+    if (status == {{PREFIX}}OK && !is_nominal(geometry)) {
         status = {{PREFIX}}BAD_GEOMETRY;
     }
     if (status == {{PREFIX}}OK) {

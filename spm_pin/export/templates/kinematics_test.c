@@ -8,7 +8,7 @@
 #include <stdio.h>
 
 #define CASES {{positions|length}}
-#define IS_DRAWN {{is_drawn|int}}
+#define IS_DRAWN {{is_nominal|int}}
 /* What contraction of products and sums, and another math library, may change. */
 #define TOLERANCE 1e-10
 

@@ -430,7 +430,7 @@ def _put_stage(
     drawn: Circles,
     sizes: Vector,
     is_rps: bool,
-    is_drawn: bool,
+    is_nominal_rps: bool,
     scratch: StageScratch,
     found: ModeScratch,
     work: FloatArray,
@@ -450,7 +450,7 @@ def _put_stage(
     modes[:] = np.nan
     if is_rps:
         straight, half_turned = stage_modes(q0, q1, q2, epsilon, up, scratch, modes)
-    if is_drawn:
+    if is_nominal_rps:
         count = 0
         for k in range(MODES):
             merged[k] = False
@@ -467,7 +467,7 @@ def _put_stage(
     "b1, b1, f8, f8, f8, f8[:,:,:,::1], b1[:,::1], b1[:,::1], i1[::1])"
 )
 def modes_of_stages(
-    centres, radii, axes, balls, drawn, is_rps, is_drawn, r, base_radius, up, joints, merged, continuous, status
+    centres, radii, axes, balls, drawn, is_rps, is_nominal_rps, r, base_radius, up, joints, merged, continuous, status
 ):
     """Find all assembly modes of N stages, under the labels of the nominal stage's.
 
@@ -483,7 +483,7 @@ def modes_of_stages(
         stage = circles_at(axes, centres[n], radii[n], squares)
         before = circles_at(drawn[0], drawn[1], radii[n], drawn_squares)
         count, is_complete, straight, half_turned = _put_stage(
-            stage, before, sizes, is_rps, is_drawn, scratch, found, work, joints[n], merged[n]
+            stage, before, sizes, is_rps, is_nominal_rps, scratch, found, work, joints[n], merged[n]
         )
         continuous[n, 0], continuous[n, 1] = straight, half_turned
         if is_complete:

@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from as_built_oracle import certified_real_branches, distance_to_root
+from calibrated_oracle import certified_real_branches, distance_to_root
 from problems import EXAMPLE, MANIPULATORS, PAPER, as_built, at_discriminant, in_leg_space, random_branches
 from scipy.spatial.transform import RigidTransform, Rotation
 

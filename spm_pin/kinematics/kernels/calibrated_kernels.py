@@ -276,7 +276,7 @@ def _put_lengths(lower: Rows, upper: Rows, unit: float, lengths: FloatArray) -> 
     f"void({readonly_array(3)}, {readonly_array(2)}, {readonly_array(4)}, f8, f8[:,:,::1], f8[:,::1], f8[:,:,:,::1], "
     "f8[:,:,::1], c16[:,:,:,::1], u1[:,::1], i1[::1])"
 )
-def as_built_branches(
+def calibrated_branches(
     rotation,
     position,
     machines,
@@ -426,11 +426,13 @@ def _put_nearest(rotation: Rows, position: Vector, scratch: PoseScratch, nearest
     f"void({readonly_array(3)}, {readonly_array(2)}, {readonly_array(4)}, f8, {readonly_array(2)}, f8[:,:,::1], "
     "f8[:,::1], f8[:,:,::1], f8[:,::1])"
 )
-def as_built_physical_branch(rotation, position, machines, unit, limits, rotation_copy, position_copy, joints, lengths):
+def calibrated_physical_branch(
+    rotation, position, machines, unit, limits, rotation_copy, position_copy, joints, lengths
+):
     """Solve N poses for the physical branch.
 
-    Poses and machines as for `as_built_branches`, limits and results as for `physical_branch` of nominal machines; the
-    lengths are those without offsets.
+    Poses and machines as for `calibrated_branches`, limits and results as for `physical_branch` of nominal machines;
+    the lengths are those without offsets.
     """
     scratch, elimination, own = _allocate_pose_scratch(), allocate_elimination(), np.empty(6)
     all_roots, nearest = np.empty(8 * POINTS), np.zeros(ROWS * POINTS)
