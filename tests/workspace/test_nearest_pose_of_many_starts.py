@@ -1,4 +1,4 @@
-"""The nearest pose within leg limits against SciPy from many random starts, in other unknowns: both platforms' poses and loop equations.
+"""The nearest pose within limits against SciPy from many starts, by the loop equations of both platforms' poses.
 
 Nothing is shared with the search but the dimensions of the legs.
 """
