@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import logging
 import math
-import threading
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -36,6 +35,7 @@ from numba.np.arrayobj import populate_array
 from spm_pin.loops import continuation
 from spm_pin.loops.constraint_rows import FORMS
 from spm_pin.support.arguments import FloatArray, IntArray
+from spm_pin.support.compiling import COMPILING
 
 HINGE, SLIDE, UNBOUNDED, BALL, FREE, TRANSLATION, PLANAR = range(7)
 _KINDS = {"Spherical": BALL, "FreeFlyer": FREE, "Translation": TRANSLATION, "Planar": PLANAR}
@@ -674,12 +674,12 @@ class Kernel:
 
     def __init__(self, function: Callable[..., Any], *modules: str) -> None:
         """`modules` are the files that the function is compiled from."""
-        self._function, self._modules, self._lock = function, modules, threading.Lock()
+        self._function, self._modules = function, modules
         self.is_loaded = False  # whether a call starts at once
         self.call: Callable[..., Any] = self._first_call
 
     def _first_call(self, *arguments: Any) -> Any:
-        with self._lock:
+        with COMPILING:
             if not self.is_loaded:
                 # Numba's cache looks at one file alone: the name that is kept has a digest of all that is compiled.
                 digest = hashlib.sha256(b"".join(Path(module).read_bytes() for module in self._modules)).hexdigest()

@@ -272,6 +272,38 @@ def test_child_processes_compute_the_same(method: str) -> None:
         assert pool.apply(determinants, (state,)).tolist() == determinants(state).tolist()
 
 
+FORKED = """
+import os, threading
+from numba.core import event
+from spm_pin.kinematics.kernels.ball_circles import circle_centres
+from spm_pin.kinematics.kernels.one_stage import working_modes
+begun = threading.Event()
+class Listener(event.Listener):
+    def on_start(self, event): begun.set()
+    def on_end(self, event): pass
+with event.install_listener("numba:compile", Listener()):
+    thread = threading.Thread(target=circle_centres.compile)
+    thread.start()
+    begun.wait()
+    if child := os.fork():
+        thread.join()
+        assert os.waitpid(child, 0)[1] == 0
+    else:
+        working_modes.compile()
+        os._exit(0)
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
+def test_a_child_forked_while_a_thread_compiles_can_compile(package: Path, tmp_path: Path) -> None:
+    process = start(package, program=FORKED, NUMBA_CACHE_DIR=tmp_path / "cache")
+    try:
+        _, err = process.communicate(timeout=300)
+    finally:
+        process.kill()
+    assert process.returncode == 0, err
+
+
 def test_a_read_only_installation_uses_the_users_cache(package: Path, tmp_path: Path) -> None:
     blocked(package)
     assert has_compiled(start(package, HOME=tmp_path / "home"))

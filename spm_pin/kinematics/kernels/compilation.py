@@ -12,7 +12,6 @@ import logging
 import os
 import pkgutil
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextvars import ContextVar
@@ -29,6 +28,7 @@ from spm_pin.formulas import operations
 from spm_pin.formulas.operations import F
 from spm_pin.formulas.vectors import Rows, Vector
 from spm_pin.support.arguments import FloatArray
+from spm_pin.support.compiling import COMPILING
 
 ByteArray = npt.NDArray[np.uint8]
 ComplexArray = npt.NDArray[np.complex128]
@@ -46,7 +46,6 @@ _FORMULAS = Path(operations.__file__).parent
 _FOLDERS = Path(__file__).parent, _FORMULAS
 _functions: list[tuple[Callable[..., Any], dict[str, Any]]] = []
 """Functions that kernels may call, with their options, as far as Numba does not know them yet."""
-_lock = threading.Lock()
 _expected: ContextVar[int] = ContextVar("spm_pin_expected_members", default=0)
 
 
@@ -129,16 +128,16 @@ class Kernel:
         if is_worth_compiling(self._members + members, self._seconds + members * self._pace, self._few):
             purpose = "once, for " + (f"a batch of {members}" if members > self._few else "repeated or long calls")
             return self.compile(purpose)(*args)
-        begin = time.perf_counter()
+        begin = time.thread_time()  # not the clock on the wall, which other processes delay
         with np.errstate(all="ignore"):
             result = self.py_func(*[np.float64(x) if type(x) is float else x for x in args])
-        self._members, self._seconds = self._members + members, self._seconds + time.perf_counter() - begin
+        self._members, self._seconds = self._members + members, self._seconds + time.thread_time() - begin
         self._pace = self._seconds / max(self._members, 1)
         return result
 
     def compile(self, purpose: str = "once, in advance") -> Callable[..., Any]:
         """Return the compiled function, loaded from the cache if it is there."""
-        with _lock:
+        with COMPILING:
             if self._compiled is None:
                 self._compiled = self._compile(purpose)
             return self._compiled
