@@ -182,7 +182,7 @@ class SingularConfigurationError(SpmError):
         meaning = {
             "inverse": "the twist of the platform does not determine the leg rates",
             "forward": "the actuators do not hold the platform",
-            "constraint": "the closures constrain the mechanism less than elsewhere",
+            "constraint": "the equations of the closures lose rank here",
             "leg": "the actuator of a leg does not move its ball",
         }
         where = f" at batch index {index}" if index else ""
@@ -218,7 +218,7 @@ class DescriptionError(ArgumentError):
 
 
 class ClosureError(SpmError):
-    """Newton's method did not close the loops of a spanning tree.
+    """Newton's method did not close the loops.
 
     Attributes
     ----------

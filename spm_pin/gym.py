@@ -117,7 +117,7 @@ class BallBalancer(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
         super().reset(seed=seed)
         options = options or {}
         if not options.keys() <= {"readings", "ball"}:
-            raise ArgumentError("options", "the keys readings and ball", ", ".join(map(repr, options)))
+            raise ArgumentError("options", "no keys but readings and ball", ", ".join(map(repr, options)))
         state = self._state(options["readings"]) if "readings" in options else self._random_state()
         radius = 0.5 * self.ball.plate(self.stage)[0] * math.sqrt(self.np_random.uniform())
         angle = self.np_random.uniform(-math.pi, math.pi)

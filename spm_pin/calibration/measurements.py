@@ -295,9 +295,9 @@ def total_covariances(
     pose_noise: npt.ArrayLike | None,
     reading_noise: npt.ArrayLike,
 ) -> FloatArray:
-    """Return covariances (N, n, n) of measured less predicted poses: errors of readings as the poses they cause.
+    """Return covariances (N, n, n) of measured minus predicted poses, reading errors mapped to pose errors.
 
-    The identity in components that were not measured, NaN in poses (N, 4, 4).
+    Components that were not measured (NaN in `measured`) have the identity.
     """
     jacobian, legs = platform_jacobian(states), len(states.machine.legs.names)
     lost = np.isnan(jacobian).any(axis=(-1, -2)) & states.exists

@@ -202,8 +202,8 @@ def bodies(machine: Manipulator | None = None, masses: Masses | None = None) -> 
     -------
     ndarray, shape (32,)
         Mass [kg] and first moments [kg m] of the middle platform in {n}, with all balls, and of the terminal platform
-        in {m}; then for each leg the mass of its cylinder, and times the distance of its centre from the pivot, and the
-        mass of its rod, and times the distance of its centre from the ball.
+        in {m}; then for each leg the mass m and the product m s [kg m] of its cylinder, with s from the pivot to its
+        centre, and of its rod, with s from the ball to its centre.
     """
     symbolic = Manipulator.paper() if machine is None else check_manipulator(machine)
     check_rps(symbolic, "weights of the bodies in CasADi and C")

@@ -395,14 +395,14 @@ class NominalBranches:
         """Return uv² - uu vv over r²."""
         return in_casadi(branches.discriminant)(self.families[family]) / self.machine.r**2
 
-    def is_continuous(self, family: str) -> Any:
-        """Return whether a family is continuous, or the Z axes are parallel."""
+    def is_degenerate(self, family: str) -> Any:
+        """Return whether a family is degenerate, or the Z axes are parallel."""
         vanishes = in_casadi(branches.is_continuous)(self.families[family], self.frame.noise)
         return ca.logic_or(vanishes, self.frame.is_vertical)
 
     def is_real(self, family: str) -> Any:
         """Return whether the two branches of a family are real and isolated."""
-        return ca.logic_and(self.discriminant(family) >= 0.0, ca.logic_not(self.is_continuous(family)))
+        return ca.logic_and(self.discriminant(family) >= 0.0, ca.logic_not(self.is_degenerate(family)))
 
     def branch(self, family: str, sign: float, least: float = 0.0) -> Any:
         """Return the b_i (3, 3) of the branch of a sign; a discriminant below `least` times r² is taken for that."""

@@ -93,7 +93,7 @@ def export(
     if chosen in _OF_ONE_KIND and is_stage != (chosen == "c-stage"):
         kinds = ("a manipulator", "a stage: its file, or --base, --platform and so on")
         received = "a stage" if is_stage else "a manipulator" if typed.given else "none"
-        cause = "c-stage writes that of a stage" if chosen == "c" else ""
+        cause = "Use --format c-stage for a stage" if chosen == "c" else ""
         raise ArgumentError("--machine", f"{kinds[chosen == 'c-stage']}, for --format {chosen}", received, cause)
     bodies = read_masses(masses, "written") if "masses" in own else None
     if chosen not in ("c", "c-stage", "linuxcnc", "ros"):
@@ -124,7 +124,7 @@ def export(
 def write(
     out: Annotated[Path, outputs.file_option("YAML file to write.", (".yaml", ".yml"))], typed: MachineInUnits
 ) -> None:
-    """Write the file of a machine, for the --machine of other commands.
+    """Write a machine file for --machine of other commands.
 
     Example: spm-pin write --base 0.7 --platform 0.35 --middle 0.8 --limits 1.1 1.5 --out machine.yaml
 

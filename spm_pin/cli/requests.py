@@ -168,7 +168,7 @@ class Request:
 
         state, distance = self.physical(), 0.0
         if not state.exists or state.limit_excess.any():
-            # Slightly within the limits, so that the pose is reached as it is printed.
+            # Inset the limits, so that the printed (rounded) pose is reachable.
             ends = machine.limits.ends
             inset = _INSET * np.where(np.isfinite(ends).all(axis=0), ends[1] - ends[0], machine.size)
             found = nearest_reachable_pose(machine, self._pose, LegLimits(ends[0] + inset, ends[1] - inset))

@@ -20,7 +20,7 @@ from spm_pin.support.pose import homogeneous
 
 
 def platforms(machine: Machine) -> tuple[str, ...]:
-    """Return the links with pivots or balls, the one that is moved last."""
+    """Return the links with pivots or balls, from the base to the end link."""
     return ("base", "platform") if len(machine.legs.kinds) == 1 else ("base", "middle_platform", "terminal_platform")
 
 

@@ -176,7 +176,7 @@ def evaluate_designs(
 def _checked_functions(functions: dict[str, Function]) -> dict[str, Function]:
     for name, function in check_instance(functions, dict, "functions").items():
         if name in column_names(tuple(METRICS.values()), 1):
-            raise ArgumentError("functions", "names that are no columns of the package", repr(name))
+            raise ArgumentError("functions", "names other than the package's columns", repr(name))
         if not callable(function):
             raise ArgumentError(f"functions[{name!r}]", "a function of a machine", type_and_value(function))
     return dict(functions)
@@ -508,8 +508,8 @@ def pareto_front(
                 cause = "Written on another kind of computer?"
                 raise ArgumentError(
                     "store",
-                    "a store of a search with the same choices",
-                    f"other choices in generation {generation}",
+                    "a store with the machines of this search",
+                    f"other machines in generation {generation}",
                     cause,
                 )
             columns = {name: np.array(column, dtype=float) for name, column in stored[generation]["columns"].items()}

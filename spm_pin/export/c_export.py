@@ -277,7 +277,7 @@ def _formulas(machine: Manipulator) -> str:
     made_functions.append(made("force_rows", [joints, *pose], *forces))
 
     starts = ca.vertcat(*functions.nominal_starts(symbolic, drawn)[:2])
-    made_functions.append(made("nominal_branches", pose, starts, drawn.is_continuous("TT")))
+    made_functions.append(made("nominal_branches", pose, starts, drawn.is_degenerate("TT")))
     quaternion = ca.SX.sym("quaternion", 4)
     forms, coordinates = functions.quadrics(symbolic, quaternion, rotation, position)
     made_functions.append(made("quadrics", pose, ca.vertcat(*(_flat(form) for form in forms))))
@@ -287,7 +287,7 @@ def _formulas(machine: Manipulator) -> str:
     shown, discriminants = ca.vertcat(*(x.readings for x in states)), ca.vertcat(*map(drawn.discriminant, FAMILIES))
     real = [drawn.is_real(label[:2]) for label in BRANCHES]
     real = ca.vertcat(*(ca.logic_and(x, branch.reach >= 0.0) for x, branch in zip(real, states, strict=True)))
-    continuous = 1.0 - all_of([ca.logic_not(drawn.is_continuous(family)) for family in FAMILIES])
+    continuous = 1.0 - all_of([ca.logic_not(drawn.is_degenerate(family)) for family in FAMILIES])
     every = ca.vertcat(*(_flat(b) for b in branches))
     made_functions.append(made("all_drawn_branches", pose, every, shown, discriminants, real, continuous))
 

@@ -265,7 +265,7 @@ def _from_environment(name: str) -> int | None:
 def parallel_for(work: Callable[[slice], None], size: int, min_batch: int) -> None:
     """Call `work` on slices that cover a batch of this size, on several threads at once if it is large.
 
-    `min_batch` is the number of members that is worth a thread.
+    `min_batch` is the least number of members per thread.
     """
     count = min(_allowed(), size // min_batch) if size >= 2 * min_batch else 1
     if count == 1:

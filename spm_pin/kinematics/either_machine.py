@@ -47,7 +47,7 @@ def or_of_stage(of_stage: Callable[Q, T]) -> Callable[[Callable[P, R]], OfEither
             for name in kwargs if args else ():
                 if name not in names[is_stage] and name in names[not is_stage]:
                     expected = f"the arguments {', '.join(names[is_stage])} for a {type(args[0]).__name__}"
-                    cause = "A manipulator is asked for a pose, a stage for a height and a tilt"
+                    cause = "A manipulator takes a pose, a stage takes a height and a tilt"
                     raise ArgumentError(name, expected, name, cause)
             chosen: Any = of_stage if is_stage else of_manipulator
             return chosen(*args, **kwargs)

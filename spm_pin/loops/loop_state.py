@@ -201,7 +201,7 @@ class LoopState(TreeState):
         return self._each_member(lambda: self.kinematics.residual[: self._rows].copy(), (self._rows,))
 
     def constraint_jacobian(self) -> FloatArray:
-        """Return the derivative of `gap` by the joints' motion, shape (..., m, nv); exact at any q."""
+        """Return the derivative of `gap` with respect to the joints' motion, shape (..., m, nv); exact at any q."""
         return self._each_member(lambda: self.kinematics.jacobian[: self._rows].copy(), (self._rows, self._nv))
 
     def joint_jacobian(self) -> FloatArray:

@@ -156,7 +156,7 @@ class LegKind:
     def circle_derivatives(self, readings: FloatArray) -> FloatArray:
         """Return the derivatives of x, z and radius of the balls' circles, (..., 3, 3, 1 + n).
 
-        The derivatives are by the reading, then by each of the `identified` numbers.
+        The derivatives are with respect to the reading, then each of the `identified` numbers.
         """
         given = np.broadcast_to(self.numbers, (*readings.shape, self.numbers.shape[1]))
         given = np.concatenate([readings[..., None], given], axis=-1)

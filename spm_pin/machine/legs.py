@@ -463,7 +463,7 @@ class Legs:
     def circle_derivatives(self, readings: FloatArray) -> list[FloatArray]:
         """Return the derivatives of x, z and radius of the circles of both stages, (..., 3, 3, 1 + n) each.
 
-        The derivatives are by the readings (..., 6), then by each fixed number of the legs.
+        The derivatives are with respect to the readings (..., 6), then each fixed number of the legs.
         """
         return self._by_stage("circle_derivatives", readings - self.offsets)
 

@@ -94,7 +94,7 @@ def read_kind(data: Any, argument: str) -> LegKind:
 
 
 def read_legs(data: Any, argument: str, kinds: tuple[LegKind, ...]) -> Legs:
-    """Return the legs of a file, of these kinds."""
+    """Return legs of these kinds, read from the data of a file."""
     names = LEGS if len(kinds) == 2 else STAGE_LEGS
     legs = read_mapping(data, argument, names)
     arrays = []

@@ -127,7 +127,7 @@ def states_along(machine: AnyMachine, path: MotionPath, parameters: FloatArray) 
 
 
 def platform_motion(path: PlatformPath, parameters: FloatArray) -> PlatformMotion:
-    """Return the pose at parameters (n,) from 0 to 1, and its derivatives by the path's own time."""
+    """Return the pose at parameters (n,) from 0 to 1, and its derivatives with respect to the path's own time."""
     # Not beyond the end by rounding.
     return path(np.minimum(path.start + parameters * path.duration, path.end))
 
@@ -151,8 +151,8 @@ class PathDynamics:
     parameters: FloatArray  # parameters from 0 to 1, shape (n,)
     states: State  # states in the physical mode, shape (n,)
     q: FloatArray  # joint values [rad or m], continuous along the path, shape (n, nq)
-    first: FloatArray  # q', first derivatives of `q` by the parameter, shape (n, nq)
-    second: FloatArray  # q'', second derivatives of `q` by the parameter, shape (n, nq)
+    first: FloatArray  # q', first derivatives of `q` with respect to the parameter, shape (n, nq)
+    second: FloatArray  # q'', second derivatives of `q` with respect to the parameter, shape (n, nq)
     twist: FloatArray  # twist (v, ω) of the platform at o in {B} per unit of ṡ [m, rad], shape (n, 6)
     inertial: FloatArray  # f_a [N s²], shape (n, legs)
     centrifugal: FloatArray  # f_b [N s²], shape (n, legs)

@@ -171,7 +171,7 @@ def _step(
         if iteration == 0:
             if size > LONGEST_STEP:
                 break
-            # A step of rounding's size corrects nothing but rounding.
+            # The floor of 1e-9 allows steps that correct rounding errors only.
             begin, first, allowed = determinant(), size, max(CORRECTION * size, 1e-9)
         else:
             allowed -= size

@@ -76,7 +76,7 @@ class InverseCertificate:
         return self.bound > 0.0
 
     def explain(self) -> str:
-        """Return the statement proved, or the counterexample or doubt that is left, in a few lines."""
+        """Return what is proved, the counterexample, or the number of undecided boxes, in a few lines."""
         lines = [f"{self.region}, {self.boxes:,} boxes."]
         if np.isinf(self.bound):
             lines.append("Proved: there is no configuration without torsion in both stages.")
@@ -87,7 +87,7 @@ class InverseCertificate:
             )
         elif self.witness is not None:
             lengths = ", ".join(f"{length:.6f}" for length in self.witness.leg_lengths)
-            lines.append(f"Does not hold: inverse singular with legs ({lengths}) m.")
+            lines.append(f"Disproved: inverse singular with legs ({lengths}) m.")
         else:
             lines.append(f"Undecided in {len(self.undecided):,} boxes; no singular configuration was found.")
         return "\n".join(lines)

@@ -180,7 +180,7 @@ def read_plan(path: Path) -> SweepPlan:
         if stored is not None:
             definition = json.loads(stored)
             if definition["format"] != FORMAT:
-                raise StoreError(path, f"a store of format {definition['format']}; this version has {FORMAT}")
+                raise StoreError(path, f"a store of format {definition['format']}; this version reads format {FORMAT}")
             plan = SweepPlan.from_definition(definition)
             lines = definition_differences(definition, json.loads(plan.text))
             if lines:
@@ -211,7 +211,7 @@ def locked(path: Path) -> Iterator[None]:
             lock.acquire(blocking=False)
         except Timeout:
             holder = file.read_text(encoding="utf-8", errors="replace") or "another process"
-            reason = f"{holder} is at work on this store. Wait for it, or end it; what it did is kept"
+            reason = f"{holder} is using this store. Wait for it, or stop it; completed chunks are kept"
             raise StoreLockedError(path, reason) from None
         except OSError as error:
             # A file system without locks; two processes would write the same bytes, each file as a whole.

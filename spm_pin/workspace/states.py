@@ -221,7 +221,7 @@ class StateSet:
         return np.asarray(densities / pose_multiplicity(self, self.states(coordinates)))
 
     def jacobians(self, coordinates: FloatArray) -> FloatArray:
-        """Return the derivatives of o and of the rotation by the coordinates, (N, 6, 6) [m, rad]."""
+        """Return the derivatives of o and of the rotation with respect to the coordinates, (N, 6, 6) [m, rad]."""
         lower, upper, rotation = self._both(coordinates)
         matrix = np.empty((len(coordinates), 6, 6))
         matrix[:, :3, :3] = lower.velocities - np.cross(lower.spins, rotation @ upper.centre[..., None], axis=1)

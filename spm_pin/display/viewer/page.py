@@ -436,7 +436,7 @@ class Session:
         if recording is None or self.playback is not None:
             return
         self.panel.show_path("Following the branch along the path …")
-        # A path of leg lengths is followed in an assembly mode, which branches do not name: take the nearest.
+        # A path of leg lengths needs an assembly mode, not the label of a branch: start from the state shown.
         start = state.shown if isinstance(recording.points, np.ndarray) else (state.label or None)
         try:
             try:

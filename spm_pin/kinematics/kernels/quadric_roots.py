@@ -48,7 +48,7 @@ points, with the polynomial's roots in two more rows."""
 _LONGEST = 60  # iterations for the polynomial; 8 to 12 are usual
 _RE, _IM = ROWS * POINTS, (ROWS + 1) * POINTS
 """First rows of the polynomial's roots, beside the points: loops over a single array are vectorised."""
-_VALUE, _VALUE_I, _MOVED = 0, POINTS, 2 * POINTS  # rows of the points that hold other things before
+_VALUE, _VALUE_I, _MOVED = 0, POINTS, 2 * POINTS  # rows of `points`, reused after other data
 
 _NORMALS = np.array([[3.0, 1.0, -2.0, 5.0], [1.0, 4.0, 2.0, -3.0], [-2.0, 3.0, 6.0, 1.0], [7.0, -2.0, 3.0, 4.0]])
 _COORDINATES = np.eye(4) - 2.0 * _NORMALS[:, :, None] * _NORMALS[:, None] / (_NORMALS**2).sum(axis=-1)[:, None, None]
