@@ -186,13 +186,17 @@ class BallBalancer(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
         good = states.exists & ~np.any(states.limit_excess, axis=-1)
         if not good.any():
             cause = "Give a smaller max_tilt, or wider limits"
-            raise ArgumentError("stage", f"one that tilts by {self.max_tilt:g} rad", "one with a smaller tilt", cause)
+            raise ArgumentError(
+                "stage", f"a stage that tilts by {self.max_tilt:g} rad", "a stage with less tilt", cause
+            )
         return states[int(good.argmax())]
 
     def _state(self, readings: npt.ArrayLike) -> StageConfiguration:
         state = forward_physical(self.stage, readings)
         if state.shape or not state.exists:
-            raise ArgumentError("readings", "three readings with a state of the stage", "others", state.missing_reason)
+            raise ArgumentError(
+                "readings", "three readings at which the stage can be assembled", "other readings", state.missing_reason
+            )
         return state
 
     def _observed(self) -> tuple[FloatArray, dict[str, Any]]:

@@ -102,7 +102,9 @@ def _requested(typed: MachineInUnits, pose: Request | None, legs: Any) -> tuple[
     state = solutions.physical()
     is_missing = not (state.exists if isinstance(machine, Stage) else solutions.count)
     if is_missing and legs is not None:
-        raise ArgumentError("--legs", "readings with which the machine can be assembled", "others", " ".join(remarks))
+        raise ArgumentError(
+            "--legs", "readings with which the machine can be assembled", "readings of no state", " ".join(remarks)
+        )
     if is_missing and pose is not None:
         if solutions.status is Status.UNREACHABLE or isinstance(machine, Stage):
             reached = pose.nearest()

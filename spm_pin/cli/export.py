@@ -89,7 +89,7 @@ def export(
             raise outputs.cannot_be_used(f"--{name.replace('_', '-')}", f"--format {chosen}")
     is_stage = isinstance(machine, Stage)
     if ball and not is_stage:
-        raise ArgumentError("--ball", "a stage for it to roll on", "a manipulator")
+        raise ArgumentError("--ball", "a single stage, on which it rolls", "a manipulator")
     if chosen in _OF_ONE_KIND and is_stage != (chosen == "c-stage"):
         kinds = ("a manipulator", "a stage: its file, or --base, --platform and so on")
         received = "a stage" if is_stage else "a manipulator" if typed.given else "none"

@@ -57,7 +57,7 @@ def certify(
     machine = typed.machine
     if inverse and (length_error or angle_error or not machine.is_nominal):
         cause = "A bound of |det K| is proved for one nominal machine only"
-        raise GeometryError("--inverse", "no errors of the machine", "errors as well", cause)
+        raise GeometryError("--inverse", "a nominal machine, without dimensional errors", "errors as well", cause)
     other = None
     with outputs.stderr.status("dividing the states of the stages"):
         length = length_error / typed.unit.per_metre
@@ -198,7 +198,7 @@ def _end_state(readings: Any, pose: Request | None, option: str) -> Any:
     state = pose.physical()
     if not state.exists:
         cause = pose.hint() or sentence(state.missing_reason)
-        raise UnreachableError(f"{option}-{pose.needed}", "a pose with a physical branch", "one without", cause)
+        raise UnreachableError(f"{option}-{pose.needed}", "a pose with a physical branch", "a pose without one", cause)
     return state
 
 

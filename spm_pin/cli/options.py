@@ -270,7 +270,7 @@ def _read_machine(given: Record, _: None, of_stage: bool) -> MachineInUnits:
 def _machine_of_numbers(given: Record, unit: LengthUnit) -> Manipulator | Stage:
     """Return the machine of dimensions: a stage, or with --middle a manipulator whose stages have the same legs."""
     if "base" not in given:
-        raise ArgumentError("--machine", "the file of a machine", "none", "spm-pin write makes one")
+        raise ArgumentError("--machine", "the file of a machine", "no file", "spm-pin write makes one")
     for name in ("base", "platform"):
         if given[name] is None:
             raise ArgumentError(f"--{name}", "a radius, or --machine with a file", "neither")

@@ -204,7 +204,9 @@ class TiltRequest(Request):
         place = {name: x for name, x in options.items() if x is not None and name != "height"}
         if not any(place.keys() <= way for way in _WAYS):
             several = " and ".join(f"--{prefix}{name}" for name in place)
-            raise ArgumentError(several, "--tilt with --azimuth, or --roll with --pitch, or --normal", "a mixture")
+            raise ArgumentError(
+                several, "only one of: --tilt and --azimuth; --roll and --pitch; --normal", "several of them"
+            )
         if not 0.0 <= place.get("tilt", 0.0) < 180.0:
             cause = "For a tilt to the opposite side change the azimuth"
             expected = "an angle in degrees, from 0 to less than 180"

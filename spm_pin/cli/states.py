@@ -94,7 +94,9 @@ def nearest(pose: Request, typed: MachineInUnits) -> Report:
     """
     reached = pose.nearest()
     if reached is None:
-        raise ArgumentError("--machine", "a machine with leg limits", "none", "Its file has them as leg_limits")
+        raise ArgumentError(
+            "--machine", "a machine with leg limits", "a machine without limits", "Its file has them as leg_limits"
+        )
     record = _nearest_record(reached, typed)
     assert record is not None
     readings = {
@@ -145,7 +147,9 @@ def forward(
     """
     chosen = [name for name, wanted in (("xyx", xyx), ("rpy", rpy), ("quat", quat)) if wanted] or ["xyx"]
     if len(chosen) > 1:
-        raise ArgumentError(" and ".join(f"--{name}" for name in chosen), "one orientation", f"{len(chosen)} of them")
+        raise ArgumentError(
+            " and ".join(f"--{name}" for name in chosen), "one orientation", f"{len(chosen)} orientations"
+        )
     machine: Any = typed.machine
     physical, modes = forward_physical(machine, legs), forward_displacement(machine, legs)
     home = modes.labels[int(modes.is_physical.argmax())] if physical.exists else ""
@@ -279,7 +283,7 @@ def statics(
     wrench = np.array([*force, *moment])
     twist = np.concatenate([np.array(velocity) / typed.unit.per_metre, np.deg2rad(angular_velocity)])
     if not (wrench.any() or twist.any()):
-        raise ArgumentError("--force", "a wrench or a twist that is not zero", "neither", "Nothing to hold or move")
+        raise ArgumentError("--force", "a wrench or a twist that is not zero", "none")
     if isinstance(typed.machine, Stage):
         if twist[[0, 1, 5]].any():
             expected = "a velocity along Z and turns about X and Y: those of a stage"

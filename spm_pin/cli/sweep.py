@@ -253,7 +253,7 @@ def design(
     """
     require_extra("design")
     if (choose is None) != (out is None):
-        raise ArgumentError("--choose and --out", "both or neither", "one of them")
+        raise ArgumentError("--choose and --out", "both or neither", "only one of them")
     if choose is not None and choose < 0:
         raise ArgumentError("--choose", "a row of the front, from 0", choose)
     ends = _by_name("--free", [_numbers("--free", text, 2) for text in free])
@@ -323,7 +323,7 @@ def _by_name(option: str, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     names = [name for name, _ in pairs]
     repeated = next((name for k, name in enumerate(names) if name in names[:k]), None)
     if repeated is not None:
-        raise ArgumentError(option, "each name once", f"{repeated} twice")
+        raise ArgumentError(option, "names without repetition", f"{repeated} twice")
     return dict(pairs)
 
 

@@ -357,7 +357,9 @@ def _matrices(pose: Any) -> FloatArray:
     rotations = matrices[..., :3, :3]
     products = rotations @ rotations.swapaxes(-1, -2) - np.eye(3)
     if np.abs(products).max(initial=0.0) > 1e-9 or (np.linalg.det(rotations) < 0.0).any():
-        raise ArgumentError("pose", "homogeneous matrices of rigid transforms", "others", "Rotations that are rounded?")
+        raise ArgumentError(
+            "pose", "homogeneous matrices of rigid transforms", "other matrices", "Rotations that are rounded?"
+        )
     return matrices
 
 

@@ -116,7 +116,7 @@ def check_unique(names: Iterable[str], what: str, source: str) -> None:
     """Raise `DescriptionError` if a name occurs twice."""
     twice = [name for name, count in Counter(names).items() if count > 1]
     if twice:
-        raise DescriptionError(source, f"each {what} to have a name of its own", ", ".join(map(repr, twice)))
+        raise DescriptionError(source, f"a different name for each {what}", ", ".join(map(repr, twice)))
 
 
 def find_frame(model: Any, name: str) -> int | None:

@@ -55,7 +55,7 @@ def read_mjcf(source: Any, *, actuated: Sequence[str] | None = None) -> RobotDes
             if text is not None:
                 compiled = mujoco.MjModel.from_xml_string(text)
             elif not Path(where).is_file():
-                raise DescriptionError(where, "an MJCF file", "no file of this name")
+                raise DescriptionError(where, "an existing MJCF file", "no such file")
             else:
                 compiled = mujoco.MjModel.from_xml_path(where)
         except ValueError as error:

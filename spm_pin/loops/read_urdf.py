@@ -146,7 +146,7 @@ def _links(root: Element, where: str, free_base: bool, extras: dict[str, Any]) -
             placement, moved = _joint(node, where, changed.get(str(node.get("name"))))
             stack.append(Link(child, link.name, placement, moved, _inertia(nodes[child], where)))
     if seen < len(nodes):
-        raise DescriptionError(where, "links that hang from one root", "a ring of links beside it")
+        raise DescriptionError(where, "a tree of links with one root", "a ring of links without a root")
 
 
 def _joint(node: Element, where: str, change: str | None) -> tuple[Any, tuple[Joint, ...]]:

@@ -357,7 +357,9 @@ def read_joint_values(model: Any, q: npt.ArrayLike, argument: str = "q") -> Floa
     flat = array.reshape(-1, model.nq)
     if not all(pin.isNormalized(model, row, 1e-6) for row in flat):
         expected = "unit quaternions (x, y, z, w) of free and ball joints"
-        raise ArgumentError(argument, expected, "others", "pinocchio.neutral(model) has them, zeros do not")
+        raise ArgumentError(
+            argument, expected, "quaternions of another length", "pinocchio.neutral(model) has them, zeros do not"
+        )
     return np.array([pin.normalize(model, row) for row in flat]).reshape(array.shape)
 
 

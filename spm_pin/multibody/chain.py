@@ -229,7 +229,9 @@ class ClosedChain:
         missed = np.isnan(angles.actuated) & configuration.exists[..., None]
         if missed.any():
             leg = self.machine.legs.names[first_offender(missed)[-1]]
-            raise ArgumentError("configuration", "balls within the reach of their legs", f"one out of reach of {leg}")
+            raise ArgumentError(
+                "configuration", "balls within the reach of their legs", f"the ball of {leg} out of reach"
+            )
         return angles.values.take(self._order, axis=-1)
 
     def leg_lengths(self, q: npt.ArrayLike) -> FloatArray:

@@ -248,7 +248,9 @@ def _outward(base: RigidTransform, legs: list[_Leg]) -> FloatArray:
     axes, ends = base.rotation.inv().apply([leg.axis for leg in legs]), [(leg.pivot, leg.ball) for leg in legs]
     outward = np.stack([-axes[:, 1], axes[:, 0], np.zeros(3)], axis=-1)
     if (np.linalg.norm(outward, axis=-1) < _UPRIGHT).any():
-        raise DescriptionError("chain", "axes of hinges that lie across z of {B}", "one along z", "A planar mechanism?")
+        raise DescriptionError(
+            "chain", "axes of hinges that are not parallel to z of {B}", "an axis along z", "A planar mechanism?"
+        )
     points = base.inv().apply(np.reshape(ends, (6, 3))).reshape(3, 2, 3).sum(axis=1)
     outward *= np.sign((outward * points).sum(axis=-1))[:, None]
     return np.asarray(outward / np.linalg.norm(outward, axis=-1)[:, None])

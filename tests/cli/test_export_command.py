@@ -109,7 +109,7 @@ def test_what_does_not_go_with_a_stage(tmp_path: Path) -> None:
     file = tmp_path / "stage.yaml"
     spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11)).to_yaml(file)
     for arguments, message in (
-        (["mjcf", "--ball"], "--ball: expected a stage for it to roll on"),
+        (["mjcf", "--ball"], "--ball: expected a single stage"),
         (["sdf", "--stage", file, "--ball"], "error: --ball cannot be used with --format sdf"),
         (["ros", "--stage", file], "--machine: expected a manipulator, for --format ros, got a stage"),
         (["ros2", "--machine", file], "--machine: expected a manipulator, for --format ros, got a stage"),

@@ -194,11 +194,11 @@ def test_the_command_searches_shows_and_writes_a_machine(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("more", "text"),
     [
-        (["--free", "platform_radius:0.2:0.3"], "--free: expected each name once, got platform_radius twice"),
+        (["--free", "platform_radius:0.2:0.3"], "--free: expected names without repetition, got platform_radius twice"),
         (["--at-least", "assembled:1", "--at-least", "assembled:0"], "assembled twice"),
         (["--at-most", "footprint"], "--at-most: expected a name and 1 number, with colons between, got 'footprint'"),
         (["--at-most", "beauty:1"], "--at-most"),
-        (["--minimise", "volume"], "--maximise, --minimise: expected each name once, got volume twice"),
+        (["--minimise", "volume"], "--maximise, --minimise: expected names without repetition, got volume twice"),
         (["--choose=-1", "--out", "x.yaml"], "--choose: expected a row of the front"),
         (["--free", "middle_side:a:b"], "'middle_side:a:b'"),
     ],
