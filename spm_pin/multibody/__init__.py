@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from spm_pin.multibody.chain_state import ChainState, ConstrainedState, NaturalFrequencies, PlatformDynamics
     from spm_pin.multibody.constrained_model import SingularValues
     from spm_pin.multibody.mounting import MountedChain
-    from spm_pin.multibody.read_stage import MeasuredStage, read_stage
     from spm_pin.multibody.simulation import Simulation
+    from spm_pin.multibody.stage_reader import MeasuredStage, read_stage
     from spm_pin.multibody.trajectory import JointTrajectory, PlatformMotion, PlatformPath
 
 __all__ = [
@@ -44,7 +44,7 @@ _HOMES = {
     "Simulation": "multibody.simulation",
     "SimulationEnd": "loops.forward_simulation",
     "ClosedChain": "multibody.chain",
-    **dict.fromkeys(("MeasuredStage", "read_stage"), "multibody.read_stage"),
+    **dict.fromkeys(("MeasuredStage", "read_stage"), "multibody.stage_reader"),
     "MountedChain": "multibody.mounting",
     "SingularValues": "multibody.constrained_model",
 }

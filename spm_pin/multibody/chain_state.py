@@ -31,7 +31,7 @@ from spm_pin.multibody.constrained_model import (
     TreeKinematics,
     read_vectors,
 )
-from spm_pin.support.arguments import FloatArray, symmetric_matrices
+from spm_pin.support.arguments import FloatArray, real_array, symmetric_matrices
 
 
 class PlatformDynamics(NamedTuple):
@@ -291,10 +291,10 @@ class ChainState(ConstrainedState):
         kinematics, v = self.kinematics, self._rates
         return kinematics.velocities_along(acceleration - kinematics.platform_drift(v), -kinematics.bias(v))
 
-    def velocities_along(self, twist: FloatArray) -> FloatArray:
+    def velocities_along(self, twist: npt.ArrayLike) -> FloatArray:
         """Return the velocities of all joints of a single state with which m moves as W times a twist (6,) says."""
         self._check_closed()
-        return self.kinematics.velocities_along(twist)
+        return self.kinematics.velocities_along(real_array(twist, "twist", (6,), "a twist (v, ω) in m/s and rad/s"))
 
     def _accelerations_along(self, twist: FloatArray, acceleration: FloatArray) -> FloatArray:
         """Return the accelerations of all joints along a path of this twist and acceleration (6,) of the platform.

@@ -161,7 +161,7 @@ def test_srdf_of_other_states() -> None:
     with pytest.raises(DescriptionError, match="names other than home"):
         srdf_text({"home": state})
     other = random_branches(spm.Manipulator(0.7, 0.35, 0.8), "TT", 1, seed=0).configuration[0]
-    with pytest.raises(DescriptionError, match="one machine"):
+    with pytest.raises(DescriptionError, match="states"):
         srdf_text({"mine": state, "other": other})
 
 

@@ -556,7 +556,7 @@ def test_what_is_shared_of_a_stage_finds_it_again(stage):
     content = json.loads(to_json(model.data()))
     np.testing.assert_array_equal(content["pose"], state.shown.pose.as_matrix())
     words = shlex.split(content["command"])
-    physical = json.loads(run(*words[1:], "--json").stdout)["modes"][0]
+    physical = json.loads(run(*words[1:], "--json").stdout)["branches"][0]
     factor = np.pi / 180.0 if stage.unit == "rad" else 1.0
     np.testing.assert_allclose(factor * np.array(physical["readings"]), state.shown.readings, atol=1e-12)
     assert physical["beyond_limits"] == np.flatnonzero(state.shown.limit_excess).tolist()

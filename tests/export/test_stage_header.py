@@ -392,8 +392,8 @@ def test_the_command_writes_it(tmp_path: Path) -> None:
     written = {path.name: path.read_text(encoding="utf-8") for path in (tmp_path / "board").iterdir()}
     assert written == stage_c_sources(BALANCER)
     for arguments, option in (
-        (["export", "c-stage", "--out", tmp_path / "board"], "--stage"),
-        (["export", "c", "--stage", tmp_path / "stage.yaml", "--out", tmp_path / "board"], "--stage"),
+        (["export", "c-stage", "--out", tmp_path / "board"], "--machine"),
+        (["export", "c", "--stage", tmp_path / "stage.yaml", "--out", tmp_path / "board"], "--machine"),
         (["export", "c-stage", "--stage", tmp_path / "stage.yaml"], "--out"),
     ):
         done = run(*arguments)

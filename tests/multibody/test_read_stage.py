@@ -121,7 +121,7 @@ def test_dimensions_are_those_that_the_file_was_written_with(name: str) -> None:
         slid = np.dot(tripod.senses, tripod.zeros) / 3.0
         base_radius += tripod.knee()[0] - slid * np.cos(tripod.numbers["direction"])
     np.testing.assert_allclose(stage.dimensions, [base_radius, tripod.platform_radius], rtol=1e-9)
-    assert stage.kind.is_nominal
+    assert stage.kind.has_equal_legs
     assert found.platform == "plate"
     assert found.joints == chain.actuated == ("a_motor", "b_motor", "c_motor")
     assert found.legs[0] == 0
@@ -205,7 +205,7 @@ def test_a_base_that_is_given_keeps_its_axes() -> None:
         ("RPS", "skew slide", "perpendicular"),
         ("RPS", "bent slide", "straight away"),
         ("RRS", "skew knee", "parallel axes"),
-        ("RRS", "upright", "across z"),
+        ("RRS", "upright", "parallel to z"),
         ("RRS", "driven knees", "an actuator of"),
         ("PRS", "motors missing", "an actuator of"),
         ("RRS", "coupled", "independently"),
