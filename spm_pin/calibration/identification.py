@@ -444,7 +444,7 @@ def _judged(
     shown = f"row{'s' * (len(rows) > 1)} {', '.join(map(str, named))}" + (", …" if len(rows) > 10 else "")
     fit, failed = _Fit(unknown, outliers, chi_square), "misfit" if converged else "not converged"
     if freedom < 0 or (len(rows) and not freedom):
-        reason = f"too few rows to tell which are wrong: without {shown} none is left over to compare. Measure more"
+        reason = f"too few rows to find the wrong ones: without {shown} none is left over to compare. Measure more"
         return replace(fit, status=failed, reason=reason, reason_rows=named)
     if chi_square > limit or not converged:
         times = f"residuals {np.sqrt(chi_square):.3g} times what the noise explains"

@@ -205,7 +205,7 @@ class TiltRequest(Request):
         if not any(place.keys() <= way for way in _WAYS):
             several = " and ".join(f"--{prefix}{name}" for name in place)
             raise ArgumentError(
-                several, "only one of: --tilt and --azimuth; --roll and --pitch; --normal", "several of them"
+                several, "only one of: --tilt and --azimuth; --roll and --pitch; --normal", "more than one"
             )
         if not 0.0 <= place.get("tilt", 0.0) < 180.0:
             cause = "For a tilt to the opposite side change the azimuth"

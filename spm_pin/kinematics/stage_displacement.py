@@ -312,7 +312,7 @@ def normals_of_request(
     ways["normal"] = normal is not None
     if sum(ways.values()) > 1:
         several = " and ".join(way for way, given in ways.items() if given)
-        raise ArgumentError(several, "only one of: tilt and azimuth; roll and pitch; normal", "several of them")
+        raise ArgumentError(several, "only one of: tilt and azimuth; roll and pitch; normal", "more than one")
     if ways["tilt"]:
         if tilt is None or azimuth is None:
             missing = "tilt" if tilt is None else "azimuth"

@@ -85,7 +85,7 @@ class StateKinematics:
     """
 
     remedy = "close() assembles them"
-    """What the error for open loops recommends."""
+    """Advice in the error for open loops."""
 
     def __init__(self, chain: Any, actuated: IntArray | None = None) -> None:
         """Take the chain's actuators, or velocities that others drive as well."""

@@ -210,7 +210,7 @@ class ConstrainedModel:
 
 
 class TreeKinematics(StateKinematics):
-    """What a `ConstrainedModel` adds to the kinematics of its loops: the terminal platform, and the balls' angles."""
+    """Kinematics of the loops of a `ConstrainedModel`, with the terminal platform and the angles of the balls."""
 
     remedy = "The method project closes the loops"
 

@@ -98,7 +98,7 @@ class _Leg(NamedTuple):
 
 
 def read_stage(chain: ClosedChain, *, base: PoseLike | None = None, tolerance: float = 1e-9) -> MeasuredStage:
-    """Return the tripod of a chain, such as ``loops.ClosedChain.from_mjcf("tripod.xml")``, as a `Stage`.
+    """Measure the tripod of a chain, such as ``loops.ClosedChain.from_mjcf("tripod.xml")``, and return a `Stage`.
 
     Legs may stand in any order and direction; axes have either sense, points anywhere along them. A ball is a ball
     joint, a point that closes a loop, or three hinges that meet. Working modes are those of the home, `chain.close()`.

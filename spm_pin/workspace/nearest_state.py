@@ -66,7 +66,7 @@ def _coordinates(x: FloatArray) -> tuple[FloatArray, FloatArray]:
     coordinates, slopes = x.reshape(2, 3).copy(), np.eye(6)
     for stage, tilt in enumerate(x.reshape(2, 3)[:, :2]):
         angle = math.hypot(*tilt)
-        # Of the quaternions q and -q the one with a positive scalar part.
+        # Use the quaternion with a positive scalar part, of q and -q.
         sign = 1.0 if math.cos(0.5 * angle) >= 0.0 else -1.0
         factor, slope = 0.5, -1.0 / 24.0
         if angle > _SMALL_TILT:

@@ -122,10 +122,10 @@ def home_states(centres, radii, axes, balls, ups, joints, is_elsewhere):
     f"{readonly_array(2)}, {readonly_array(2)}, f8[:,:,:,::1])"
 )
 def follow_states(joints, start, start_radii, end, end_radii, axes, balls, end_joints):
-    """Follow N states of m stages, their balls (N, m, 3, 3) [m], to other circles, which change in proportion.
+    """Follow N states of m stages, balls (N, m, 3, 3) [m], from one set of circles to another along a straight line.
 
     The circles have the centres `start` and `end` (N, 3m, 3) [m] and radii (N, 3m) [m]; `axes` and `balls` are as for
-    `home_states`. Written are the balls, NaN where there are none at the start, and where the path meets a singularity.
+    `home_states`. The results are the balls, NaN where there are none at the start or the path meets a singularity.
     """
     for k in range(joints.shape[1]):
         leg = 3 * k

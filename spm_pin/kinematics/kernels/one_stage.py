@@ -36,7 +36,7 @@ _READING, _COSINE, _ROD_X, _ROD_Z, _HOME, _ROWS = 22, 25, 28, 31, 34, 35
 
 @jit
 def _put_readings(tile: FloatArray, kind: int, numbers: FloatArray, middles: FloatArray) -> None:
-    """Write the readings of the legs, of RRS legs sines and cosines from the middles, and x and z of their rods."""
+    """Write the readings of the legs (for RRS legs sines and cosines from the middles), and x and z of their rods."""
     for leg in range(3):
         x, z, reading, cosine = _X + leg, _Z + leg, _READING + leg, _COSINE + leg
         along, up = _ROD_X + leg, _ROD_Z + leg
@@ -66,13 +66,13 @@ def _put_readings(tile: FloatArray, kind: int, numbers: FloatArray, middles: Flo
 def poses_of_stages(
     normals, heights, legs, planes, kind, numbers, middles, up, rotation, position, readings, cosines, is_physical
 ):
-    """Find the poses of a stage's platform with N normals (N, 3) and heights (N,) [m], in mode T, and in F.
+    """Compute the poses of a stage's platform for N normals (N, 3) and heights (N,) [m], in modes T and F.
 
     `legs` (3, 3, 3) are axes, pivots and balls [m], `planes` (2, 3, 3) the directions of x and z of the legs' planes,
-    `numbers` (3, n) those fixed in the legs, and `middles` (3,) those of `planar_legs.crank_middle`. Written are, for m
-    modes, 1 or 2, R (N, m, 3, 3) and t (N, m, 3) [m], NaN where there is none; readings without offsets (N, m, 3), NaN
-    out of a leg's reach, of RRS legs less `middles` multiples of their sines, and in `cosines`, if it has a length, of
-    the cosines; and which are physical (N, m).
+    `numbers` (3, n) the constants of the legs, and `middles` (3,) those of `planar_legs.crank_middle`. The results, for
+    m modes, 1 or 2, are R (N, m, 3, 3) and t (N, m, 3) [m], NaN where there is none; readings without offsets
+    (N, m, 3), NaN out of a leg's reach; and which are physical (N, m). For RRS legs the readings, less `middles`, are
+    given by multiples of their sines and, if `cosines` is not empty, of the cosines.
     """
     axes, pivots = rows_at(legs[0], 0), rows_at(legs[1], 0)
     stage = stage_constants(axes, pivots, rows_at(legs[2], 0))

@@ -49,7 +49,7 @@ from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, vect
 from spm_pin.support.arguments import FloatArray
 
 AXIS, PIVOT, BALL, OUTWARD, FORWARD, NUMBERS, OFFSET, KIND, MIDDLE = 0, 3, 6, 9, 12, 15, 18, 19, 20
-"""Where a leg's numbers begin in a row (21,) of `legs`: see `Legs`, `LegKind.number` and `planar_legs.crank_middle`."""
+"""Offsets of a leg's numbers in a row (21,) of `legs`: see `Legs`, `LegKind.number` and `planar_legs.crank_middle`."""
 ROTATION, CENTRE, READINGS, DETERMINANT, ROOMS, STAGE_NUMBERS = 0, 9, 12, 15, 16, 19
 """Offsets of a stage's rotation, centre [m], readings, determinant and rooms of the legs [m], see `planar_legs.Room`,
 in `values` (19,); and the length of that array."""
