@@ -199,8 +199,6 @@ def _azimuths_error(angles: FloatArray) -> GeometryError:
     """Return the error for azimuths in a wrong order, or of legs that form no triangle."""
     order = np.argsort(np.mod(angles, 2.0 * np.pi))
     best = max((np.roll(order, k) for k in range(3)), key=lambda x: float(np.cos(angles[x] - AZIMUTHS).sum()))
-    expected = (
-        "three azimuths in radians, counterclockwise from the one nearest to -30 degrees, for legs in a triangle"
-    )
+    expected = "three azimuths in radians, counterclockwise from the one nearest to -30 degrees, for legs in a triangle"
     cause = "" if (best == np.arange(3)).all() else f"In this order they are {np.array2string(angles[best])}"
     return GeometryError("azimuths", expected, np.array2string(angles), cause)

@@ -220,7 +220,7 @@ def test_too_few_rows_to_find_the_wrong_one_are_no_fit(error: float, status: str
     readings[5, 2] += error
     found = identify(PAPER, poses, readings)
     assert found.status == status
-    assert found.reason.startswith("too few rows to tell which are wrong: without row")
+    assert found.reason.startswith("too few rows to find the wrong ones: without row")
 
 
 def test_measurements_that_fit_no_machine_are_not_used() -> None:
