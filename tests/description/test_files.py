@@ -14,6 +14,7 @@ import pytest
 import trimesh
 import yaml
 from description.kinematic_tree import SLIDES, TREE, KinematicTree, named_states
+from error_fields import with_fields
 from problems import in_leg_space, random_branches
 
 import spm_pin as spm
@@ -128,9 +129,9 @@ def test_prefix_is_on_every_name() -> None:
 
 @pytest.mark.parametrize("prefix", ["1", "1.5", "two words", 'a"b', "a<", "$(arg", "left_\n", "true", "NaN", "/", None])
 def test_prefixes_that_cannot_begin_a_name(prefix: str) -> None:
-    with pytest.raises(DescriptionError, match="prefix: expected a name"):
+    with pytest.raises(DescriptionError, check=with_fields(argument="prefix")):
         urdf_text(prefix=prefix)
-    with pytest.raises(DescriptionError, match="prefix: expected a name"):
+    with pytest.raises(DescriptionError, check=with_fields(argument="prefix")):
         srdf_text({}, prefix=prefix)
     with pytest.raises(ArgumentError):
         read_closures(prefix=prefix)

@@ -11,6 +11,7 @@ import mpmath
 import numpy as np
 import pytest
 from balancers import MACHINES, STAGES, existing_states, requests, stage_and_height
+from error_fields import with_fields
 from modes_oracle import real_modes
 from scipy.optimize import fsolve
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -312,7 +313,7 @@ def test_why_there_is_no_solution_is_said() -> None:
         spm.inverse_displacement(BALANCER, 0.12, tilt=0.1, azimuth=15.0)
     with pytest.raises(spm.ArgumentError, match=r"readings: .*r_1, r_2, r_3 in radians, got shape"):
         spm.forward_displacement(BALANCER, [0.1, 0.2])
-    with pytest.raises(spm.ArgumentError, match="azimuth: expected a tilt with its azimuth"):
+    with pytest.raises(spm.ArgumentError, check=with_fields(argument="azimuth")):
         spm.inverse_displacement(BALANCER, 0.12, tilt=0.1)
     with pytest.raises(spm.ArgumentError, match="tilt and roll: expected only one of"):
         spm.inverse_displacement(BALANCER, 0.12, tilt=0.1, azimuth=0.0, roll=0.1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from balancers import MACHINES, STAGES, existing_states, stage_and_height
+from error_fields import with_fields
 from finite_differences import extrapolated
 
 import spm_pin as spm
@@ -80,7 +81,7 @@ def test_singularities_of_all_sorts() -> None:
     # A flat tripod moves with its actuators locked.
     flat = spm.inverse_displacement(STAGES["RPS"], 0.0)["T"]
     assert spm.singularities(flat).kind & SingularityKind.FORWARD
-    with pytest.raises(spm.SingularConfigurationError, match="forward"):
+    with pytest.raises(spm.SingularConfigurationError, check=with_fields(kind="forward")):
         spm.kinematics.platform_jacobian(flat)
     # A crank and a rod in line.
     reach = np.hypot(0.16, 0.0)

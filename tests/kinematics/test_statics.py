@@ -6,6 +6,7 @@ import mpmath
 import numpy as np
 import problems
 import pytest
+from error_fields import with_fields
 
 import spm_pin as spm
 from spm_pin.crosscheck.paper import jacobian as paper
@@ -78,7 +79,7 @@ LEVEL = problems.without_torsion(PAPER, (0.0, 0.0, 1.3), (0.0, 0.0, -1.2))
 @pytest.mark.parametrize("make", [halfway, lambda: LEVEL], ids=["halfway between two branches", "level"])
 def test_forces_at_an_inverse_singularity(make):
     state = make()
-    with pytest.raises(SingularConfigurationError, match=r"^inverse singularity: "):
+    with pytest.raises(SingularConfigurationError, check=with_fields(kind="inverse")):
         inverse_jacobian(state)
     for wrench in WRENCHES:
         true = reference(state, wrench)

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import problems
 import pytest
+from error_fields import with_fields
 from finite_differences import extrapolated
 from scipy.spatial.transform import Rotation
 
@@ -190,7 +191,7 @@ def test_singular_members_of_a_batch_are_marked_and_the_others_computed():
     # The leg rates of the flat stage exist; with a leg of no length nothing does.
     assert np.array_equal(np.isfinite(leg_rates(states, np.ones(6))).all(axis=-1), [[True, False], [True, False]])
     for function in (inverse_jacobian, platform_jacobian):
-        with pytest.raises(SingularConfigurationError, match=r"^forward singularity: "):
+        with pytest.raises(SingularConfigurationError, check=with_fields(kind="forward")):
             function(states[1, 1])
     level = spm.forward_physical(PAPER, [[1.3] * 6, [1.25, 1.15, 1.40, 1.30, 1.20, 1.40]])
     assert np.array_equal(np.isnan(inverse_jacobian(level)).any(axis=(-1, -2)), [True, False])

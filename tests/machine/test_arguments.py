@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from error_fields import with_fields
 
 import spm_pin as spm
 from spm_pin.support import arguments, files
@@ -95,7 +96,7 @@ def test_the_bounds_of_a_number_are_as_named(
 
 def test_the_ending_of_a_file_name_is_checked_in_any_case() -> None:
     assert files.file_path(Path("a.CSV"), suffixes=(".csv", ".json")).name == "a.CSV"
-    with pytest.raises(spm.ArgumentError, match=r"^path: expected a file name ending in \.csv, \.json, got a\.txt"):
+    with pytest.raises(spm.ArgumentError, check=with_fields(argument="path")):
         files.file_path("a.txt", suffixes=(".csv", ".json"))
 
 
@@ -107,7 +108,7 @@ def test_a_generator_is_made_of_a_seed() -> None:
 
 
 def test_numbers_too_large_for_a_float_are_not_finite() -> None:
-    with pytest.raises(spm.ArgumentError, match=r"^q: expected finite real numbers .* got inf"):
+    with pytest.raises(spm.ArgumentError, check=with_fields(argument="q")):
         arguments.real_array(np.array([1.0, np.longdouble("1e4000")]), "q", (2,), "angles")
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from error_fields import with_fields
 from problems import MANIPULATORS
 
 import spm_pin as spm
@@ -167,7 +168,7 @@ def test_geometry_is_frozen_and_compared_by_value() -> None:
     assert twin == built
     assert built != PAPER
     check_same_machine(replace(built, limits=None), built, "near", "the machine")
-    with pytest.raises(spm.GeometryError, match=r"near: expected the r_b1.direction_1 of the machine, 0 rad, got "):
+    with pytest.raises(spm.GeometryError, check=with_fields(argument="near")):
         check_same_machine(twin, PAPER, "near", "the machine")
     assert "legs differ from nominal by up to 0.00" in repr(built)
 

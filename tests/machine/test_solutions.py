@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from error_fields import with_fields
 from problems import at_end_stops, in_leg_space, random_branches
 
 import spm_pin as spm
@@ -43,9 +44,9 @@ def test_a_single_problem_is_indexed_by_its_solutions(branches: spm.SolutionSet)
         for state in (every[k], backwards[-1 - k]):
             np.testing.assert_array_equal(state.leg_lengths, branches[label].leg_lengths)
     assert sum(bool(state.exists) for state in every) == branches.count
-    with pytest.raises(SelectionError, match=r"index: expected a label: TT\+, .*, got 'TT'"):
+    with pytest.raises(SelectionError, check=with_fields(argument="index")):
         branches["TT"]
-    with pytest.raises(SelectionError, match=r"index: expected an index of the batch axes \(8,\), got int 8"):
+    with pytest.raises(SelectionError, check=with_fields(argument="index")):
         branches[8]
 
 
@@ -89,7 +90,7 @@ def test_what_selects_nothing_is_one_kind_of_error(branches: spm.SolutionSet, ba
     )
     for wrong in wrong_indices:
         for indexed in (branches, batch, branches.configurations, branches[0]):
-            with pytest.raises(SelectionError, match=r"^index: expected .*, got "):
+            with pytest.raises(SelectionError, check=with_fields(argument="index")):
                 indexed[wrong]
 
 

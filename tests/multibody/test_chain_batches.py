@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from error_fields import with_fields
 from multibody.chains import PAPER, Array, chain, placed
 
 import spm_pin as spm
@@ -105,7 +106,7 @@ def test_axes_broadcast() -> None:
     forces = robot.state(q).leg_forces(wrenches)
     assert forces.shape == (2, 3, 6)
     assert np.array_equal(forces[1, 2], robot.state(q[2]).leg_forces(wrenches[1, 0]))
-    with pytest.raises(ArgumentError, match=r"^wrench: expected leading axes that broadcast .*, \(3,\), got \(2,\)"):
+    with pytest.raises(ArgumentError, check=with_fields(argument="wrench")):
         robot.state(q).leg_forces(wrenches[:, 0])
 
 
@@ -162,9 +163,9 @@ def test_rates_and_forces_of_open_loops_do_not_exist(method: str) -> None:
 def test_wrong_arguments_name_the_member() -> None:
     robot, rest = chain(), np.zeros(18)
     q = placed("paper", 1, seed=304)[0][1]
-    with pytest.raises(ArgumentError, match=r"^v: expected joint velocities .* at batch index \(2,\)"):
+    with pytest.raises(ArgumentError, check=with_fields(argument="v")):
         robot.state(q, [rest, rest, rest + 1.0]).inverse_dynamics(rest)
-    with pytest.raises(ArgumentError, match=r"^v: expected leading axes that broadcast"):
+    with pytest.raises(ArgumentError, check=with_fields(argument="v")):
         robot.state([q, q], [rest, rest, rest])
 
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import problems
 import pytest
+from error_fields import with_fields
 from multibody.chains import EPS, MACHINES, NAMES, PAPER, POSE, Array, chain, placed, random_q, rounding, six_branches
 
 import spm_pin as spm
@@ -96,11 +97,11 @@ def test_unreachable_targets() -> None:
         robot.forward_kinematics([[1.2, 1.2, 1.4, 1.25, 1.2, 1.4], [1.2, 1.2, 1.2, 1.2, 1.2, 9.0]], q)
     with pytest.raises(ClosureError, match="out of reach"):
         robot.inverse_kinematics(spm.pose([0.0, 0.0, 9.0], xyx=[0.1, 0.2, 0.3]), q)
-    with pytest.raises(SingularConfigurationError, match="inverse singularity"):
+    with pytest.raises(SingularConfigurationError, check=with_fields(kind="inverse")):
         robot.inverse_kinematics(POSE, np.zeros(18))
     with pytest.raises(ClosureError, match="0 iterations"):
         robot.forward_kinematics(np.full(6, 1.3), q + 1e-2)
-    with pytest.raises(ArgumentError, match=r"^readings: expected legs of no negative length, got -1 m in r_c3"):
+    with pytest.raises(ArgumentError, check=with_fields(argument="readings")):
         robot.forward_kinematics([1.2, 1.2, 1.4, 1.25, 1.2, -1.0], q)
     assert robot.forward_kinematics(np.empty((0, 6)), q).shape == (0, 18)
 
@@ -133,9 +134,9 @@ def test_invalid_paths_and_trajectories_are_refused() -> None:
     for times, message in (([0.0, 0.0, 1.0], "increasing"), ([0.0], "at least 2")):
         with pytest.raises(ArgumentError, match=f"^times: .*{message}"):
             PlatformPath(times, WAYPOINTS)
-    with pytest.raises(PoseError, match=r"^poses: expected one for each of 2 times, got shape \(3,\)"):
+    with pytest.raises(PoseError, check=with_fields(argument="poses")):
         PlatformPath([0.0, 1.0], WAYPOINTS)
-    with pytest.raises(ArgumentError, match=r"^times: expected times from 0 to 2 s, got 2\.1"):
+    with pytest.raises(ArgumentError, check=with_fields(argument="times")):
         path([0.0, 2.1])
     robot = chain()
     q = robot.joint_values(spm.inverse_displacement(PAPER, WAYPOINTS[0]).physical())
@@ -143,15 +144,15 @@ def test_invalid_paths_and_trajectories_are_refused() -> None:
         with pytest.raises(ArgumentError) as caught:
             robot.joint_trajectory(path_of_wrong_kind, [0.0, 1.0], q)
         assert (caught.value.argument, caught.value.index) == ("path", "")
-    with pytest.raises(ArgumentError, match=r"^path: expected real numbers .* twist of the platform"):
+    with pytest.raises(ArgumentError, check=with_fields(argument="path")):
         robot.joint_trajectory(lambda t: PlatformMotion(POSE, np.zeros(3), np.zeros(6)), [0.0, 1.0], q)
     for motion in (None, (POSE, np.zeros(6))):
-        with pytest.raises(ArgumentError, match=r"path: expected a function that returns .* at batch index \(0,\)"):
+        with pytest.raises(ArgumentError, check=with_fields(argument="path")):
             robot.joint_trajectory(lambda t, motion=motion: motion, [0.0, 1.0], q)
     away = PlatformPath([0.0, 1.0], spm.pose([POSE.translation, [0.0, 0.0, 9.0]], xyx=[[0.1, 0.2, 0.3]] * 2))
     with pytest.raises(ClosureError, match=r"At batch index \(\d+,\)"):
         robot.joint_trajectory(away, np.linspace(0.0, 1.0, 5), q)
-    with pytest.raises(ArgumentError, match=r"^times: expected times from 0 to 2 s"):
+    with pytest.raises(ArgumentError, check=with_fields(argument="times")):
         robot.joint_trajectory(path, [0.0, 3.0], q)
     up = WAYPOINTS[0].translation + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.2]])
     beyond = PlatformPath([0.0, 1.0], spm.pose(up, rotation=np.stack([WAYPOINTS[0].rotation.as_matrix()] * 2)))

@@ -10,6 +10,7 @@ import numpy as np
 import problems
 import pytest
 from engines import Drake, Mujoco, accelerations
+from error_fields import with_fields
 from multibody.chains import NAMES, Array, chain, frame_jacobian, placed, plain_accelerations, six_branches
 
 import spm_pin as spm
@@ -148,16 +149,16 @@ def test_singularities() -> None:
     robot, home = chain(), np.zeros(18)
     rest, forces = np.zeros(18), np.zeros(6)
     # At home the twist says nothing of the legs, but forces still accelerate and hold.
-    with pytest.raises(SingularConfigurationError, match="inverse singularity"):
+    with pytest.raises(SingularConfigurationError, check=with_fields(kind="inverse")):
         robot.state(home, rest).platform_dynamics()
-    with pytest.raises(SingularConfigurationError, match="inverse singularity"):
+    with pytest.raises(SingularConfigurationError, check=with_fields(kind="inverse")):
         robot.state(home, rest).joint_accelerations(np.zeros(6))
     held = robot.state(home, rest).inverse_dynamics(rest)
     assert np.abs(robot.state(home, rest).forward_dynamics(held)).max() <= 1e-9
     assert np.abs(robot.state(home, rest).forward_dynamics(forces)).max() > 1.0
     forward = problems.singular_state(0, *problems.PAPER_TILTS[0])
     q = robot.joint_values(forward)
-    with pytest.raises(SingularConfigurationError, match="forward singularity") as caught:
+    with pytest.raises(SingularConfigurationError, check=with_fields(kind="forward")) as caught:
         robot.state(q, rest).inverse_dynamics(rest)
     assert caught.value.sigma_min < 1e-12
     assert np.isfinite(robot.state(q, rest).forward_dynamics(forces)).all()
@@ -170,9 +171,9 @@ def test_bad_arguments() -> None:
     with pytest.raises(ClosureError, match="The method project closes the loops") as caught:
         robot.state(q + 1e-4, rest).inverse_dynamics(rest)
     assert caught.value.residual == pytest.approx(np.linalg.norm(robot.state(q + 1e-4).closure_gap(), axis=-1).max())
-    with pytest.raises(ArgumentError, match=r"^v: expected joint velocities that keep the loops closed"):
+    with pytest.raises(ArgumentError, check=with_fields(argument="v")):
         robot.state(q, v + 1e-4).forward_dynamics(np.zeros(6))
-    with pytest.raises(ArgumentError, match=r"^a: expected joint accelerations that keep the loops closed"):
+    with pytest.raises(ArgumentError, check=with_fields(argument="a")):
         robot.state(q, v).inverse_dynamics(rest)
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import problems
 import pytest
+from error_fields import with_fields
 from multibody.chains import EPS, PAPER, chain, placed, random_q, rounding, six_branches
 
 import spm_pin as spm
@@ -18,6 +19,7 @@ from spm_pin.errors import ArgumentError, DescriptionError, GeometryError
 from spm_pin.machine.joint_angles import JOINTS
 
 pinocchio = pytest.importorskip("pinocchio")
+
 
 from spm_pin.multibody.chain import ClosedChain  # noqa: E402
 
@@ -61,7 +63,7 @@ def test_names_and_places() -> None:
         joint = robot.model.joints[robot.model.getJointId(name)]
         assert joint.idx_q == joint.idx_v == place == robot.joint_indices(name)[0]
     assert np.array_equal(robot.leg_indices, robot.joint_indices(*actuated_joints()))
-    with pytest.raises(ArgumentError, match=r"names: expected joints: leg_b1_hip, .*, got 'leg_b4_hip'"):
+    with pytest.raises(ArgumentError, check=with_fields(argument="names")):
         robot.joint_indices("leg_b1_hip", "leg_b4_hip")
     assert not robot.leg_indices.flags.writeable
 
@@ -101,7 +103,7 @@ def test_legs_of_negative_length_are_refused() -> None:
     """All other wrong vectors are those of `test_wrong_arguments`."""
     robot = chain()
     for call in (robot.leg_lengths, robot.project, robot.state):
-        with pytest.raises(ArgumentError, match=r"^q: expected legs of no negative length, got -0\.7 m"):
+        with pytest.raises(ArgumentError, check=with_fields(argument="q")):
             call(np.full(18, -2.0))
 
 
@@ -204,7 +206,7 @@ def test_offsets_change_readings_and_nothing_else() -> None:
     np.testing.assert_array_equal(shifted.leg_lengths(q), plain.leg_lengths(q))
     np.testing.assert_allclose(shifted.forward_kinematics(plain.readings(q) + shift), q, atol=1e-12)
     np.testing.assert_allclose(shifted.with_readings(q, plain.readings(q) + shift), q, atol=1e-15)
-    with pytest.raises(ArgumentError, match=r"readings: expected legs of no negative length, got -0\.4\d+ m in r_b1"):
+    with pytest.raises(ArgumentError, check=with_fields(argument="readings")):
         shifted.forward_kinematics([0.05, 1.3, 1.3, 1.3, 1.3, 1.3], near=q[0])
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from error_fields import with_fields
 from multibody.chains import Array, frame_jacobian, plain_accelerations
 
 import spm_pin as spm
@@ -14,6 +15,7 @@ from spm_pin.errors import ArgumentError, ClosureError
 
 pinocchio = pytest.importorskip("pinocchio")
 robots = pytest.importorskip("example_robot_data")
+
 
 from spm_pin.multibody.chain import ClosedChain  # noqa: E402
 
@@ -131,11 +133,11 @@ def test_invalid_mountings_are_refused() -> None:
     robot = arm("ur5")
     with pytest.raises(ArgumentError, match=r"names that the chain does not have, got base\. Give the chain a prefix"):
         ClosedChain.from_urdf(machine=SMALL).mounted_on(robot, "tool0")
-    with pytest.raises(ArgumentError, match=r"^frame: expected a frame of ur5, got 'tool1'"):
+    with pytest.raises(ArgumentError, check=with_fields(argument="frame")):
         small().mounted_on(robot, "tool1")
-    with pytest.raises(ArgumentError, match=r"^frame: "):
+    with pytest.raises(ArgumentError, check=with_fields(argument="frame")):
         small().carrying(robot, "tool0")
-    with pytest.raises(ArgumentError, match=r"^placement: expected a pinocchio\.SE3, got ndarray"):
+    with pytest.raises(ArgumentError, check=with_fields(argument="placement")):
         small().mounted_on(robot, "tool0", np.eye(4))
     with pytest.raises(ArgumentError, match=r"got ClosedChain\. Its loops would be lost"):
         small().mounted_on(ClosedChain.from_urdf(prefix="b_"), "b_base")
@@ -143,11 +145,11 @@ def test_invalid_mountings_are_refused() -> None:
     q, v = state(both, "ur5", seed=505)
     with pytest.raises(ClosureError):
         both.state(q + 1e-3, v).forward_dynamics(np.zeros(12))
-    with pytest.raises(ArgumentError, match=r"^v: "):
+    with pytest.raises(ArgumentError, check=with_fields(argument="v")):
         both.state(q, v + 1e-3).inverse_dynamics(np.zeros(24))
-    with pytest.raises(ArgumentError, match=r"^forces: "):
+    with pytest.raises(ArgumentError, check=with_fields(argument="forces")):
         both.state(q, v).forward_dynamics(np.zeros(6))
-    with pytest.raises(ArgumentError, match=r"^chain: expected leading axes"):
+    with pytest.raises(ArgumentError, check=with_fields(argument="chain")):
         both.join(np.zeros((2, 6)), np.zeros((3, 18)))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import problems
 import pytest
+from error_fields import with_fields
 from multibody.chains import EPS, PAPER, POSE, chain, placed, six_branches, wrench_conditions
 from scipy.spatial.transform import Rotation
 
@@ -12,6 +13,7 @@ import spm_pin as spm
 from spm_pin.errors import ArgumentError, SingularConfigurationError
 
 pinocchio = pytest.importorskip("pinocchio")
+
 
 from spm_pin.multibody.constrained_model import SINGULAR  # noqa: E402
 
@@ -22,7 +24,7 @@ def test_home_is_an_inverse_singularity() -> None:
     """NumPy's solve sees nothing wrong there, and returns some 1e16."""
     robot = chain()
     for call in (lambda q: robot.state(q).inverse_jacobian(), lambda q: robot.state(q).joint_velocities(np.ones(6))):
-        with pytest.raises(SingularConfigurationError, match=r"^inverse singularity: the twist") as caught:
+        with pytest.raises(SingularConfigurationError, check=with_fields(kind="inverse")) as caught:
             call(HOME)
         assert caught.value.kind == "inverse"
         assert caught.value.sigma_min <= 10 * SINGULAR
@@ -66,7 +68,7 @@ def test_forward_singularities(mode: str) -> None:
         assert caught.value.kind == "forward"
     assert robot.state(q).singular_values().forward <= 10 * SINGULAR
     assert robot.state(q).singular_values().constraint > 1e-3
-    with pytest.raises(SingularConfigurationError, match=r"^forward"):
+    with pytest.raises(SingularConfigurationError, check=with_fields(kind="forward")):
         spm.leg_forces(state, np.ones(6))
 
 
@@ -79,12 +81,12 @@ def test_constraint_singularities(which: str) -> None:
     robot = chain()
     q = robot.joint_values(state)
     for call in (lambda q: robot.state(q).inverse_jacobian(), lambda q: robot.state(q).leg_forces(np.ones(6))):
-        with pytest.raises(SingularConfigurationError, match=r"^constraint singularity") as caught:
+        with pytest.raises(SingularConfigurationError, check=with_fields(kind="constraint")) as caught:
             call(q)
         assert caught.value.kind == "constraint"
     values = robot.state(q).singular_values()
     assert max(values.constraint, values.inverse, values.forward) <= 10 * SINGULAR
-    with pytest.raises(SingularConfigurationError, match=r"^constraint"):
+    with pytest.raises(SingularConfigurationError, check=with_fields(kind="constraint")):
         spm.inverse_jacobian(state)
 
 

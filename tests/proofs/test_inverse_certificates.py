@@ -5,6 +5,7 @@ from __future__ import annotations
 import mpmath
 import numpy as np
 import pytest
+from error_fields import with_fields
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -104,7 +105,7 @@ def test_limits_in_which_the_determinant_changes_its_sign_have_a_witness(limits:
     assert not found.holds
     assert limits.contains(found.witness.leg_lengths)
     assert singular_at_fifty_digits(found.witness)
-    assert "Does not hold" in found.explain()
+    assert "Disproved" in found.explain()
 
 
 def test_a_witness_is_found_where_the_straight_way_between_samples_has_no_states() -> None:
@@ -118,5 +119,5 @@ def test_a_witness_is_found_where_the_straight_way_between_samples_has_no_states
 def test_invalid_arguments_are_refused() -> None:
     with pytest.raises(spm.GeometryError, match="limits"):
         certify_inverse(spm.Manipulator(0.6, 0.4, 0.5))
-    with pytest.raises(spm.GeometryError, match="machine: expected a nominal machine"):
+    with pytest.raises(spm.GeometryError, check=with_fields(argument="machine")):
         certify_inverse(PAPER.perturbed(0))

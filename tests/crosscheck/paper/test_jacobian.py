@@ -7,6 +7,7 @@ import itertools
 import numpy as np
 import problems
 import pytest
+from error_fields import with_fields
 from finite_differences import extrapolated
 from scipy.spatial.transform import Rotation
 
@@ -141,14 +142,14 @@ def test_singular_states_are_refused(six):
     assert np.array_equal(np.isnan(jacobian.J_f(mixed)).all(axis=(-1, -2)), singular)
     assert np.array_equal(np.isnan(f_r(mixed, np.ones(3), np.ones(3))).all(axis=-1), singular)
     np.testing.assert_allclose(jacobian.J_f(mixed)[:6], jacobian.J_f(six), rtol=1e-9, atol=1e-11)
-    with pytest.raises(SingularConfigurationError, match="inverse singularity: ") as caught:
+    with pytest.raises(SingularConfigurationError, check=with_fields(kind="inverse")) as caught:
         jacobian.J_f(mixed[6])
     assert (caught.value.kind, caught.value.index) == ("inverse", ())
     assert caught.value.sigma_min <= 1e-14
     on_the_base = spm.Configuration(
         PAPER, POSE, np.where(np.eye(3)[0][:, None] > 0, PAPER.base_joints, six[0].middle_joints)
     )
-    with pytest.raises(SingularConfigurationError, match="forward"):
+    with pytest.raises(SingularConfigurationError, check=with_fields(kind="forward")):
         jacobian.J_alpha(on_the_base)
     alone = np.stack([on_the_base.middle_joints, six[0].middle_joints])
     both = jacobian.J_f(spm.Configuration(PAPER, spm.pose([POSE.translation] * 2, rotation=POSE.rotation), alone))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from error_fields import with_fields
 
 import spm_pin as spm
 from spm_pin.crosscheck import MisprintedEquation, Reproduction, Verdict, reproduce
@@ -78,5 +79,5 @@ def test_digits_are_compared_as_printed(text: str, value: complex, agrees: bool)
 
 
 def test_only_tables_that_can_be_reproduced() -> None:
-    with pytest.raises(spm.ArgumentError, match=r"tables: expected .* got \[6\]"):
+    with pytest.raises(spm.ArgumentError, check=with_fields(argument="tables")):
         reproduce([6])
