@@ -12,22 +12,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import BPoly
 
+from spm_pin import multibody
 from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import physical_at_poses
 from spm_pin.machine import Configuration, Manipulator, Stage, StageConfiguration
 from spm_pin.multibody.trajectory import PlatformMotion, PlatformPath
 from spm_pin.support.arguments import FloatArray, IntArray, leg_bounds, leg_values, real_array
-
-if TYPE_CHECKING:
-    from spm_pin.multibody.chain import ClosedChain
-    from spm_pin.multibody.chain_state import ChainState
 
 AnyMachine = Manipulator | Stage
 State = Configuration | StageConfiguration
@@ -159,7 +156,7 @@ class PathDynamics:
     static: FloatArray  # f_c [N], shape (n, legs)
 
 
-def path_dynamics(chain: ClosedChain, path: MotionPath, parameters: FloatArray) -> PathDynamics:
+def path_dynamics(chain: multibody.ClosedChain, path: MotionPath, parameters: FloatArray) -> PathDynamics:
     """Return the mechanism along a path; `ArgumentError` where it is out of reach or meets a singularity."""
     states: Any = states_along(chain.machine, path, parameters)
     if not states.exists.all():
@@ -187,7 +184,7 @@ def path_dynamics(chain: ClosedChain, path: MotionPath, parameters: FloatArray) 
 
 
 def _at(
-    state: ChainState, q: FloatArray, rate: FloatArray, change: FloatArray, of_legs: bool
+    state: multibody.ChainState, q: FloatArray, rate: FloatArray, change: FloatArray, of_legs: bool
 ) -> tuple[FloatArray, ...]:
     """Return q', q'', the twist, f_a, f_b and f_c at one q, from the derivatives of leg lengths or of the platform."""
     state.update(q)
@@ -260,7 +257,7 @@ class MotionLimits:
             )
         self.twist = None if twist is None else _speeds(twist)
 
-    def rows(self, chain: ClosedChain, along: PathDynamics) -> LimitRows:
+    def rows(self, chain: multibody.ClosedChain, along: PathDynamics) -> LimitRows:
         """Return all limits on the grid; raises `ArgumentError` where the forces do not hold the machine at rest."""
         legs = chain.leg_indices
         first, second = along.first[:, legs], along.second[:, legs]
@@ -291,7 +288,12 @@ class MotionLimits:
         return LimitRows(a, b, c, lower, upper, fastest)
 
     def feasible_scale(
-        self, chain: ClosedChain, along: PathDynamics, times: FloatArray, speeds: FloatArray, accelerations: FloatArray
+        self,
+        chain: multibody.ClosedChain,
+        along: PathDynamics,
+        times: FloatArray,
+        speeds: FloatArray,
+        accelerations: FloatArray,
     ) -> FloatArray:
         """Return the largest factor of ṡ² and s̈ (n,), at times (n,), with which all limits hold, shape (n,).
 

@@ -12,12 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import RigidTransform
 
+from spm_pin import multibody
 from spm_pin.description.masses import Masses, RigidBody
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.singularity_analysis import determinants
@@ -29,9 +30,6 @@ from spm_pin.motion.paths import LegPath, MotionLimits, MotionPath, PathDynamics
 from spm_pin.motion.planning import MotionPlan
 from spm_pin.multibody.trajectory import JointTrajectory, PlatformPath, increasing_times
 from spm_pin.support.arguments import FloatArray, check_instance, real_array, real_number, whole_number
-
-if TYPE_CHECKING:
-    from spm_pin.multibody.chain import ClosedChain
 
 _Rows = tuple[tuple[FloatArray, FloatArray, FloatArray, FloatArray], FloatArray, RigidTransform]
 """Values, velocities, accelerations and efforts of the joints, readings, and poses."""
@@ -85,7 +83,7 @@ class TimedMotion(JointTrajectory):
 
 
 def time_optimal(
-    chain: ClosedChain,
+    chain: multibody.ClosedChain,
     path: MotionPlan | LegPath | PlatformPath,
     *,
     leg_rates: npt.ArrayLike | None = None,
@@ -142,9 +140,7 @@ def time_optimal(
     A convex programme in the square of the speed, as in Verscheure et al., IEEE Transactions on Automatic Control 54
     (2009); with limited jerk a nonlinear one, of which IPOPT finds a local optimum.
     """
-    from spm_pin.multibody.chain import ClosedChain
-
-    check_instance(chain, ClosedChain, "chain")
+    check_instance(chain, multibody.ClosedChain, "chain")
     way = _path(path, chain)
     if payload is not None:
         chain = chain.with_masses(Masses(payload=payload))
@@ -200,7 +196,7 @@ def time_optimal(
     )
 
 
-def _path(path: Any, chain: ClosedChain) -> MotionPath:
+def _path(path: Any, chain: multibody.ClosedChain) -> MotionPath:
     if isinstance(path, MotionPlan):
         check_same_machine(path.machine, chain.machine, "path", "the chain")
         if path.path is None:
@@ -215,7 +211,7 @@ def _path(path: Any, chain: ClosedChain) -> MotionPath:
     return path
 
 
-def _refuse_events(chain: ClosedChain, along: PathDynamics, path: MotionPath, *, planned: bool) -> None:
+def _refuse_events(chain: multibody.ClosedChain, along: PathDynamics, path: MotionPath, *, planned: bool) -> None:
     """Raise `ArgumentError` where a path crosses a singularity or, unless it was planned, a leg limit of the chain.
 
     A path of leg lengths may cross inverse singularities: the legs lead through.

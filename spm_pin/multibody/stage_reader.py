@@ -12,7 +12,7 @@ import pinocchio as pin
 from scipy.spatial.transform import RigidTransform
 
 from spm_pin.errors import ArgumentError, DescriptionError
-from spm_pin.loops.closed_chain import ClosedChain
+from spm_pin.loops.closed_chain import ClosedChain as LoopChain
 from spm_pin.machine.leg_kinds import KINDS, PRS, RPS, RRS, LegKind
 from spm_pin.machine.legs import RADIAL, Legs, StageLimits
 from spm_pin.machine.stage import Stage
@@ -97,7 +97,7 @@ class _Leg(NamedTuple):
     ball: FloatArray
 
 
-def read_stage(chain: ClosedChain, *, base: PoseLike | None = None, tolerance: float = 1e-9) -> MeasuredStage:
+def read_stage(chain: LoopChain, *, base: PoseLike | None = None, tolerance: float = 1e-9) -> MeasuredStage:
     """Measure the tripod of a chain, such as ``loops.ClosedChain.from_mjcf("tripod.xml")``, and return a `Stage`.
 
     Legs may stand in any order and direction; axes have either sense, points anywhere along them. A ball is a ball
@@ -127,7 +127,7 @@ def read_stage(chain: ClosedChain, *, base: PoseLike | None = None, tolerance: f
     GeometryError
         No `Stage` has these dimensions or limits.
     """
-    if not isinstance(chain, ClosedChain):
+    if not isinstance(chain, LoopChain):
         received = f"{type(chain).__module__}.{type(chain).__name__}"
         raise ArgumentError(
             "chain", "a ClosedChain of spm_pin.loops", received, "Its from_mjcf and from_urdf read files"
@@ -157,7 +157,7 @@ def read_stage(chain: ClosedChain, *, base: PoseLike | None = None, tolerance: f
     return found
 
 
-def _size(chain: ClosedChain, q: FloatArray) -> float:
+def _size(chain: LoopChain, q: FloatArray) -> float:
     """Return the size of what the chain spans [m]."""
     data = chain.model.createData()
     pin.forwardKinematics(chain.model, data, q)
@@ -166,7 +166,7 @@ def _size(chain: ClosedChain, q: FloatArray) -> float:
 
 
 def _measured(
-    kind: type[LegKind], joints: tuple[LegJoint, ...], chain: ClosedChain, q: FloatArray, rounding: float, size: float
+    kind: type[LegKind], joints: tuple[LegJoint, ...], chain: LoopChain, q: FloatArray, rounding: float, size: float
 ) -> _Leg:
     """Return the points of a leg, all in the plane through its ball; raise `DescriptionError` if it is not planar."""
     first, second, ball = joints[0], joints[1], joints[2].point
@@ -292,7 +292,7 @@ def _stage(
     plate: RigidTransform,
     radius: float,
     legs: list[_Leg],
-    chain: ClosedChain,
+    chain: LoopChain,
     rounding: float,
 ) -> tuple[Stage, FloatArray, FloatArray]:
     """Return the stage, nominal if it is to rounding, and the signs and zeros of its readings."""
@@ -345,7 +345,7 @@ def _modes(sines: FloatArray, legs: list[_Leg]) -> tuple[int, ...]:
 
 
 def _limits(
-    stage: Stage, legs: list[_Leg], chain: ClosedChain, signs: FloatArray, zeros: FloatArray
+    stage: Stage, legs: list[_Leg], chain: LoopChain, signs: FloatArray, zeros: FloatArray
 ) -> tuple[FloatArray, StageLimits | None]:
     """Return the zeros of the readings, for cranks in the turn of their limits, and the limits."""
     places, kind = chain.indices_in_q(*(leg.name for leg in legs)), stage.kind
@@ -369,7 +369,7 @@ def _limits(
     return zeros, None if are_free else StageLimits(limits[0].tolist(), limits[1].tolist())
 
 
-def _platform(chain: ClosedChain, q: FloatArray, tripod: Tripod) -> tuple[str, RigidTransform]:
+def _platform(chain: LoopChain, q: FloatArray, tripod: Tripod) -> tuple[str, RigidTransform]:
     """Return the name of the platform's heaviest body, and its pose in the world."""
     model, data = chain.model, chain.model.createData()
     pin.framesForwardKinematics(model, data, q)

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from spm_pin.errors import DescriptionError
-from spm_pin.loops.closed_chain import ClosedChain
+from spm_pin.loops.closed_chain import ClosedChain as LoopChain
 from spm_pin.loops.closures import Anchor
 from spm_pin.loops.links import find_frame
 from spm_pin.support.arguments import FloatArray
@@ -54,7 +54,7 @@ _Path = list[tuple[int, _Edge]]
 """Edges, each with the body at its near end."""
 
 
-def find_legs(chain: ClosedChain, q: FloatArray, tolerance: float) -> Tripod:
+def find_legs(chain: LoopChain, q: FloatArray, tolerance: float) -> Tripod:
     """Return the legs at closed joint values q (nq,); raise `DescriptionError` unless there are three like a stage's.
 
     Free bodies and all that does not tie the platform to the base are left out. Three hinges in a row whose axes meet
@@ -83,7 +83,7 @@ def find_legs(chain: ClosedChain, q: FloatArray, tolerance: float) -> Tripod:
     return Tripod(legs, frozenset(joint for joint, owner in enumerate(owners) if owner in tips))
 
 
-def _graph(chain: ClosedChain, q: FloatArray) -> tuple[list[int], list[_Edge]]:
+def _graph(chain: LoopChain, q: FloatArray) -> tuple[list[int], list[_Edge]]:
     """Return the body that each joint of Pinocchio carries, welded ones as one, and the joints between bodies."""
     model = chain.model
     data = model.createData()
@@ -157,7 +157,7 @@ def _far(near: int, edge: _Edge) -> int:
     return edge.ends[1] if edge.ends[0] == near else edge.ends[0]
 
 
-def _is_free(path: _Path, chain: ClosedChain) -> bool:
+def _is_free(path: _Path, chain: LoopChain) -> bool:
     joints = [edge.joint for _, edge in path]
     return sum(joint.dof for joint in joints) >= _FREE and not any(joint.name in chain.actuated for joint in joints)
 
@@ -171,7 +171,7 @@ def _names(joints: Iterable[LegJoint]) -> str:
     return ", ".join(f"{joint.kind} {joint.name}" for joint in joints)
 
 
-def _leg(joints: list[LegJoint], chain: ClosedChain, tolerance: float) -> tuple[LegJoint, ...]:
+def _leg(joints: list[LegJoint], chain: LoopChain, tolerance: float) -> tuple[LegJoint, ...]:
     """Return the three joints of a leg, three hinges that meet in one point as a ball."""
     own = {joint.name for joint in joints}
     if len(joints) == 5 and all(joint.kind == "hinge" for joint in joints[2:]):
