@@ -79,7 +79,7 @@ REFUSED = [
     ("urdf --masses nope.yaml", "error: --masses: nope.yaml: expected a readable YAML file, got No such file"),
     # forward, statics, reproduce
     ("forward --legs 120 120 140 125 120 -1", "error: --legs: expected positive lengths"),
-    (f"statics {POSE} --unit cm", "neither"),
+    (f"statics {POSE} --unit cm", "a wrench or a twist"),
     (f"statics {POSE} --unit cm --force 0 0 1 --branch FT+", "real branches, here TT+"),
     (f"statics {POSE} --unit cm --force 0 0 nan", "--force, --moment: expected finite"),
     ("reproduce --table 7", "--table: expected numbers out of (1, 2, 3, 4, 5)"),

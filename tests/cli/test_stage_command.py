@@ -114,7 +114,7 @@ def test_a_file_a_reach_and_pictures(tmp_path: Path) -> None:
         ([*SIZES, "--sign", "0"], "--sign: expected +1 or -1, the working mode"),
         ([*SIZES, "--limits", "70", "-30"], "--limits: expected minimum < maximum"),
         ([*SIZES, "--azimuth", "10"], "--tilt: expected a tilt together with --azimuth"),
-        ([*SIZES, "--tilt", "10", "--pitch", "2"], "--tilt and --pitch: expected --tilt with --azimuth, or --roll"),
+        ([*SIZES, "--tilt", "10", "--pitch", "2"], "--tilt and --pitch: expected only one of: --tilt and --azimuth"),
         (
             [*SIZES, "--normal", "0", "0", "0"],
             "--normal: expected normals of the platform in {B}, of any length but zero",

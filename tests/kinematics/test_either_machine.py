@@ -50,7 +50,7 @@ def test_arguments_of_the_other_machine_are_named() -> None:
         ("height", lambda: spm.inverse_physical(spm.Manipulator.paper(), height=1.2)),
         ("pose", lambda: spm.inverse_physical(stage, pose=np.eye(4))),
     ):
-        with pytest.raises(ArgumentError, match="asked for a pose, a stage for a height") as refused:
+        with pytest.raises(ArgumentError, match="takes a pose, a stage takes a height") as refused:
             call()  # type: ignore[no-untyped-call]
         assert refused.value.argument == name
     with pytest.raises(ArgumentError) as refused:

@@ -212,7 +212,7 @@ FAULTS = {
     "five numbers": (model("", crank="<pose>0 0 0 0 0</pose>"), "6 finite numbers"),
     "a joint twice": (
         model(joint("j", "ball", "base", "crank") + joint("j", "ball", "base", "rocker")),
-        "a name of its own",
+        "a different name",
     ),
     "slides in a loop": (
         model(joint("a", "prismatic", "base", "crank") + joint("b", "prismatic", "rocker", "crank")),

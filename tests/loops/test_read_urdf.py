@@ -175,9 +175,9 @@ FAULTS = {
         None,
         "one link without a parent",
     ),
-    "a ring": (RING, None, "hang from one root"),
-    "a link twice": (LINKAGE.replace('<link name="tip"/>', '<link name="end"/>'), None, "a name of its own"),
-    "a joint twice": (LINKAGE.replace('name="elbow"', 'name="turn"'), None, "a name of its own"),
+    "a ring": (RING, None, "one root"),
+    "a link twice": (LINKAGE.replace('<link name="tip"/>', '<link name="end"/>'), None, "a different name"),
+    "a joint twice": (LINKAGE.replace('name="elbow"', 'name="turn"'), None, "a different name"),
     "a child twice": (
         LINKAGE.replace('<child link="end"/>', '<child link="tip"/>'),
         None,
