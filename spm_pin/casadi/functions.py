@@ -70,7 +70,7 @@ def inverse_physical(machine: Dimensions = None, *, parameters: bool = False) ->
     """
     symbolic, rotation, position = MachineInCasadi(machine, parameters), *_pose()
     if not symbolic.is_nominal:
-        return _as_built_inverse(symbolic, rotation, position)
+        return _calibrated_inverse(symbolic, rotation, position)
     drawn = NominalBranches(symbolic, rotation, position)
     joints = [drawn.branch("TT", sign) for sign in (1.0, -1.0)]
     states = [StateInCasadi(symbolic, b, rotation, position) for b in joints]
@@ -440,7 +440,7 @@ def within_limits(machine: MachineInCasadi, readings: Any) -> list[Any]:
     return inside
 
 
-def _as_built_inverse(machine: MachineInCasadi, rotation: Any, position: Any) -> ca.Function:
+def _calibrated_inverse(machine: MachineInCasadi, rotation: Any, position: Any) -> ca.Function:
     """Make `inverse_physical` of a calibrated machine, by Newton's method from the nominal branches TT."""
     drawn, unknowns = NominalBranches(machine, rotation, position), ca.SX.sym("unknowns", 6)
     starts = nominal_starts(machine, drawn)

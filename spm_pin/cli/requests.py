@@ -90,7 +90,7 @@ class Request:
         if len(chosen) != 1:
             names = ", ".join(f"--{prefix}{name}" for name in orientations)
             argument = " and ".join(f"--{prefix}{name}" for name in chosen) or f"--{prefix}translation"
-            received = f"{len(chosen)} of them" if chosen else "none"
+            received = f"{len(chosen)} orientations" if chosen else "none"
             raise ArgumentError(argument, f"one orientation, of {names}", received)
         (name,) = chosen
         value = np.array(options[name])

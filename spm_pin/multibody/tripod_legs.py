@@ -72,7 +72,7 @@ def find_legs(chain: LoopChain, q: FloatArray, tolerance: float) -> Tripod:
     tips = {_far(*path[-1]) for path in paths}
     junctions = {node for node, count in _degrees(edges).items() if count > 2}
     if len(paths) != 3 or len(tips) != 1 or base in tips or junctions != {base, *tips}:
-        received = f"{len(paths)} of them"
+        received = f"{len(paths)} legs"
         if paths:
             received += ": " + "; ".join(_names(edge.joint for _, edge in path) for path in paths)
         cause = "Links between legs or more platforms?" if len(paths) == 3 else ""

@@ -373,7 +373,7 @@ class StateSet:
     def few(self) -> list[FloatArray]:
         """Few states of each stage within the limits, (n, 3), always the same, in the home assembly region.
 
-        Each state of the lower stage is combined with each of the upper one. None if the set is empty.
+        Each state of the lower stage is combined with each of the upper one. Arrays are empty if the set is.
         """
         rng = np.random.default_rng(_SEED)
         stages = self._stages_in_readings(_TRIED, rng)
