@@ -150,8 +150,9 @@ class NotOneSolutionError(SpmError):
         self.cause = cause
         where = f" at batch index {index}" if index else ""
         if labels:
+            names = ", ".join(labels[:8]) + f" and {len(labels) - 8} more" * (len(labels) > 8)
             message = (
-                f"expected exactly one solution, got {len(labels)}{where}: {', '.join(labels)}. "
+                f"expected exactly one solution, got {len(labels)}{where}: {names}. "
                 "Narrow them down with .within(limits), or choose with .nearest(near) or .physical()"
             )
         else:

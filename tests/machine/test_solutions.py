@@ -181,6 +181,9 @@ def test_one_returns_the_only_solution_or_raises(branches: spm.SolutionSet) -> N
     with pytest.raises(spm.NotOneSolutionError, match="got 6: TT") as caught:
         branches.one()
     assert caught.value.labels == ("TT+", "TT-", "TF+", "TF-", "FF+", "FF-")
+    with pytest.raises(spm.NotOneSolutionError, match=r"got 144: (T1[^,]*, ){7}T1[^,]* and 136 more") as caught:
+        spm.forward_displacement(PAPER, [1.2, 1.2, 1.4, 1.25, 1.2, 1.5]).one()
+    assert len(caught.value.labels) == 144
     assert branches.where(np.array(branches.labels) == "FF+").one().exists
     with pytest.raises(spm.NotOneSolutionError, match="got none"):
         branches.where(np.zeros(8, dtype=bool)).one()
