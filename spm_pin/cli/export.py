@@ -28,7 +28,7 @@ _OWN_OPTIONS: dict[str, set[str]] = {
     "linuxcnc": set(),
 }
 """Options of some formats only, by format."""
-_OF_ONE_KIND = "c", "ros", "c-stage"
+_OF_ONE_KIND = "c", "c-stage"
 """Formats that one kind of machine has."""
 
 
@@ -74,7 +74,8 @@ def export(
 
     c: inverse and forward displacement, J_f, leg forces, weights and joint values in C99 for controllers, with a test
     program. linuxcnc: a configuration that simulates the machine, and the source of its kinematics
-    module. ros or ros2: a ROS 2 package with the description, a node for joint states, a launch file and a controller.
+    module. ros or ros2: a ROS 2 package with the description, a node for joint states, a launch file and a controller;
+    a stage follows the height and the normal of its poses.
     c-stage: one header in C99 for a microcontroller, for a stage, such as a ball balancer.
     """
     if (format_ is None) == (option is None):
