@@ -64,7 +64,7 @@ def crosscheck(
     --figure needs the extra "plots".
     """
     report = _compare(typed.machine, poses, seed, method)
-    file = ("FILE" if typed.given else None) if typed.file is None else str(typed.file)
+    file = None if typed.file is None else str(typed.file)
     content = _comparison_content(report, file)
     if out is not None:
         outputs.write_json(content, out)

@@ -28,8 +28,6 @@ _OWN_OPTIONS: dict[str, set[str]] = {
     "linuxcnc": set(),
 }
 """Options of some formats only, by format."""
-_OF_ONE_KIND = "c", "c-stage"
-"""Formats that one kind of machine has."""
 
 
 def export(
@@ -91,7 +89,7 @@ def export(
     is_stage = isinstance(machine, Stage)
     if ball and not is_stage:
         raise ArgumentError("--ball", "a single stage, on which it rolls", "a manipulator")
-    if chosen in _OF_ONE_KIND and is_stage != (chosen == "c-stage"):
+    if chosen in ("c", "c-stage") and is_stage != (chosen == "c-stage"):
         kinds = ("a manipulator", "a stage: its file, or --base, --platform and so on")
         received = "a stage" if is_stage else "a manipulator" if typed.given else "none"
         cause = "Use --format c-stage for a stage" if chosen == "c" else ""

@@ -25,7 +25,7 @@ from spm_pin.crosscheck.methods import Method, make_methods
 from spm_pin.crosscheck.random_poses import in_leg_space, on_all_rotations, printable
 from spm_pin.crosscheck.tolerances import ROWS, Conditioning
 from spm_pin.errors import ArgumentError
-from spm_pin.machine import Status
+from spm_pin.machine import Manipulator, Status
 from spm_pin.machine.machine import Machine, check_machine
 from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, Progress, whole_number
 from spm_pin.support.pose import inverse_command
@@ -196,7 +196,9 @@ class Report:
         return f"{self.outliers[0]} is wrong: the others agree."
 
     def command(self, pose: int, machine_file: str | None = None) -> str:
-        """Return the command line that solves a pose of this report; without a file, for the paper's machine."""
+        """Return the command line that solves a pose of this report, FILE if no file of the machine is given."""
+        if machine_file is None and self.machine != Manipulator.paper():
+            machine_file = "FILE"
         return inverse_command({name: numbers[pose] for name, numbers in self.requests.items()}, machine_file)
 
 

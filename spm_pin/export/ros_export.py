@@ -63,15 +63,16 @@ def ros_package(
     dict of str
         The texts of the files by their paths in the package.
     """
-    is_stage = len(check_machine(machine).legs.kinds) == 1
+    known: Any = check_machine(machine)
+    is_stage = len(known.legs.kinds) == 1
     name = re.sub(r"[^a-z0-9]+", "_", f"{prefix}spm_{'stage_' * is_stage}".lower()).lstrip("_")
     default = name.rstrip("_") if is_stage else f"{name}robot"
     package = default if package is None else _checked_name(package, "package")
     urdf = urdf_text(machine, prefix=prefix, meshes=f"package://{package}/{MESHES}", masses=masses, root=True)
-    if isinstance(machine, Stage):
-        sources, fields = _stage_sources(machine, name)
+    if is_stage:
+        sources, fields = _stage_sources(known, name)
     else:
-        sources, fields = c_sources(machine, prefix=name, masses=masses), machine_fields(machine)
+        sources, fields = c_sources(known, prefix=name, masses=masses), machine_fields(known)
     names = actuated_joints(machine), joint_names(machine)
     slides, joints = ([f"{prefix}{joint}" for joint in each] for each in names)
     zeros = (home_readings(machine) + machine.legs.offsets).tolist()
@@ -120,7 +121,7 @@ def _stage_sources(stage: Stage, prefix: str) -> tuple[dict[str, str], dict[str,
     fields = {"up": numbers[:1], "home_height": numbers[1:2]}
     fields |= {f"leg_{leg}": row for leg, row in enumerate(own[:, :_LIMITS], 1)}
     fields |= dict(zip(("minimum", "maximum", "middle"), own[:, _LIMITS:].T, strict=True))
-    fields |= {f"frame_{leg}": np.array([*_numbers(frame)]) for leg, frame in enumerate(frames, 1)}
+    fields |= {f"frame_{leg}": _flat(frame) for leg, frame in enumerate(frames, 1)}
     values = {**common_values(stage, prefix), "fields": fields, "joint_values": c_function(_joint_values(stage))}
     texts = {f"{prefix}{file}": rendered(f"stage_{file}", values) for file in ("kinematics.h", "kinematics.c")}
     return texts | {"stage.h": stage_c_sources(stage)["stage.h"]}, fields
@@ -129,7 +130,7 @@ def _stage_sources(stage: Stage, prefix: str) -> tuple[dict[str, str], dict[str,
 def _joint_values(stage: Stage) -> ca.Function:
     """Return the function of the balls and of the legs' frames to the values of the description's joints."""
     frames, kind = leg_frames(stage), stage.kind.bound(in_casadi)
-    flat = [ca.SX.sym(f"leg_{leg}", len([*_numbers(frame)])) for leg, frame in enumerate(frames)]
+    flat = [ca.SX.sym(f"leg_{leg}", _flat(frame).size) for leg, frame in enumerate(frames)]
     symbols = [LegFrame(*_like(frame, iter(ca.vertsplit(x)))) for frame, x in zip(frames, flat, strict=True)]
     balls = [ca.SX.sym(f"b_{leg}", 3) for leg in range(3)]
     legs = [in_casadi(leg_values)(parts(ball), frame, kind) for ball, frame in zip(balls, symbols, strict=True)]
@@ -140,13 +141,9 @@ def _joint_values(stage: Stage) -> ca.Function:
     return ca.Function("joint_values_of", [ca.vertcat(*balls), ca.vertcat(*flat)], [ca.cse(ca.densify(result))])
 
 
-def _numbers(value: Any) -> Iterator[float]:
-    """Yield the numbers of nested tuples."""
-    if isinstance(value, tuple):
-        for part in value:
-            yield from _numbers(part)
-    else:
-        yield value
+def _flat(frame: LegFrame) -> FloatArray:
+    """Return the constants of a leg one after the other."""
+    return np.concatenate([np.ravel(part) for part in frame])
 
 
 def _like(value: Any, numbers: Iterator[Any]) -> Any:

@@ -65,7 +65,7 @@ def test_the_c_solves_poses_and_readings_and_gives_all_joints(name: str, library
         # Neither the torsion nor the place beside the axis of a pose counts.
         place = np.array([7.0, -7.0, state.height])
         assert call("inverse", np.ascontiguousarray(state.rotation @ spin), place, None, solved) == 0
-        numbers = np.concatenate([state.rotation.ravel(), state.translation, state.balls.ravel(), state.readings])
+        numbers = np.concatenate([state.rotation.ravel(), state.translation, state.readings, state.balls.ravel()])
         np.testing.assert_allclose(solved, numbers, rtol=0, atol=1e-11)
         for near in (None, solved):
             assert call("forward", np.array(state.readings), near, again) == 0

@@ -31,19 +31,14 @@ static stage_geometry unlimited(const {{prefix}}geometry *geometry)
 
 static int put(int status, const stage_geometry *stage, const stage_state *from, {{prefix}}state *to)
 {
-    int i, k;
-    if (status != STAGE_OK) {
-        return status;
-    }
-    memcpy(to->rotation, from->rotation, sizeof to->rotation);
-    memcpy(to->position, from->position, sizeof to->position);
-    memcpy(to->readings, from->readings, sizeof to->readings);
-    for (i = 0; i < 3; ++i) {
-        for (k = 0; k < 3; ++k) {
-            to->joints[3 * i + k] = to->position[k] + stage_dot(to->rotation + 3 * k, stage->legs[i].ball);
+    int i;
+    if (status == STAGE_OK) {
+        memcpy(to, from, sizeof *from);
+        for (i = 0; i < 9; ++i) {
+            to->joints[i] = to->position[i % 3] + stage_dot(to->rotation + i % 3 * 3, stage->legs[i / 3].ball);
         }
     }
-    return STAGE_OK;
+    return status;
 }
 
 const char *{{prefix}}status_name(int status)
@@ -61,7 +56,7 @@ int {{prefix}}inverse(const {{prefix}}geometry *geometry, const double rotation[
 {
     const stage_geometry stage = unlimited(geometry);
     const double normal[3] = {rotation[2], rotation[5], rotation[8]};
-    stage_state found = {{"{{0}, {0}, {0}}"}};
+    stage_state found;
     (void)near;
     return put(stage_inverse(&stage, normal, position[2], &found), &stage, &found, state);
 }
@@ -70,12 +65,10 @@ int {{prefix}}forward(const {{prefix}}geometry *geometry, const double readings[
         {{prefix}}state *state)
 {
     const stage_geometry stage = unlimited(geometry);
-    stage_state from = {{"{{0}, {0}, {0}}"}};
+    stage_state from;
     int status = STAGE_OK;
     if (near) {
-        memcpy(from.rotation, near->rotation, sizeof from.rotation);
-        memcpy(from.position, near->position, sizeof from.position);
-        memcpy(from.readings, near->readings, sizeof from.readings);
+        memcpy(&from, near, sizeof from);
     } else {
         status = stage_tilt(&stage, 0.0, 0.0, stage.home_height, &from);
     }
@@ -100,12 +93,6 @@ int {{prefix}}joint_values(const {{prefix}}geometry *geometry, const {{prefix}}s
 {
     const double *arguments[2] = {state->joints, geometry->frames[0]};
     double *results[1] = {values};
-    int i;
     joint_values_of(arguments, results);
-    for (i = 0; i < 9; ++i) {
-        if (!isfinite(values[i])) {
-            return STAGE_BAD_INPUT;
-        }
-    }
     return STAGE_OK;
 }

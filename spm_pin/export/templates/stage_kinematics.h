@@ -26,10 +26,10 @@ typedef struct {
 #define {{PREFIX}}FIELDS {% for name, x in fields.items() %}{"{{name}}", {{x.size}}}{{", " if not loop.last}}{% endfor %}
 
 
+/* First the members of a stage_state. */
 typedef struct {
-    double rotation[9], position[3]; /* of the platform in {B} */
-    double joints[9];                /* the balls in {B} */
-    double readings[3];
+    double rotation[9], position[3], readings[3];
+    double joints[9]; /* the balls in {B} */
 } {{prefix}}state;
 
 /* Return the name of a status, such as "unreachable". */
@@ -46,7 +46,7 @@ int {{prefix}}forward(const {{prefix}}geometry *geometry, const double readings[
 /* Return 0 where all readings are within the limits, or the number from 1 to 3 of the first that is beyond. */
 int {{prefix}}beyond_limits(const {{prefix}}geometry *geometry, const double readings[3]);
 
-/* The values of the description's nine joints [rad, m], in the order of its tree. */
+/* The values of the description's nine joints [rad, m] in a state of these functions, in the order of its tree. */
 int {{prefix}}joint_values(const {{prefix}}geometry *geometry, const {{prefix}}state *state, double values[9]);
 
 #ifdef __cplusplus
