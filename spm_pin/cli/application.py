@@ -101,7 +101,7 @@ _COMMANDS = {
     "nearest": ("states", "either"),
     "forward": ("states", "either"),
     "reproduce": ("crosscheck", "manipulator"),
-    "crosscheck": ("crosscheck", "manipulator"),
+    "crosscheck": ("crosscheck", "either"),
     "singularities": ("states", "either"),
     "certify": ("move", "either"),
     "calibrate": ("calibrate", "either"),

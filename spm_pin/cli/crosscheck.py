@@ -28,6 +28,7 @@ from spm_pin.display.plots import save_gallery
 from spm_pin.display.writing import fixed
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.machine import Manipulator, pose
+from spm_pin.machine.machine import Machine
 
 _TITLES = {
     POSE: "The example's pose (cm, degrees) from the leg lengths 120, 120, 140, 125, 120, 150 cm",
@@ -56,7 +57,7 @@ def crosscheck(
     out: Annotated[Path | None, outputs.file_option("JSON file of the report to write.")] = None,
     figure: Annotated[Path | None, outputs.picture_option("Picture of the differences of all pairs to write.")] = None,
 ) -> Shown:
-    """Solve random poses by independent methods and compare the results.
+    """Solve random poses, or tilts and heights of a stage, by independent methods and compare the results.
 
     Branches, inverse Jacobians and leg forces are compared in pairs, with tolerances from conditioning and rounding.
     Exits with 1 if the methods disagree, and says which one is wrong. If interrupted, it reports the poses done so far.
@@ -73,7 +74,7 @@ def crosscheck(
     return Shown(content, parts, _exit_code(report))
 
 
-def _compare(machine: Manipulator, poses: int, seed: int, methods: list[str] | None) -> Report:
+def _compare(machine: Machine, poses: int, seed: int, methods: list[str] | None) -> Report:
     """Run a comparison with a progress bar; on Ctrl-C return the report of the poses compared so far, if any."""
     names = None if methods is None else list(dict.fromkeys(methods))
     report = None
@@ -90,12 +91,12 @@ def _compare(machine: Manipulator, poses: int, seed: int, methods: list[str] | N
 
 def _exit_code(report: Report, failed: bool = False) -> int:
     """Return the exit code of a comparison, which Ctrl-C may have ended early."""
-    return 130 if len(report.xyx) < report.requested else int(failed or not report.agrees)
+    return 130 if report.poses < report.requested else int(failed or not report.agrees)
 
 
 def _verdict(heading: str, report: Report) -> Sentence:
     """Return the result of a comparison in one sentence, naming methods that did not solve every pose."""
-    done, names = len(report.xyx), []
+    done, names = report.poses, []
     for score in report.scores:
         pairs = (pair for pair in report.differences if score.name in (pair.first, pair.second))
         part = f"{score.solved} of the poses"
@@ -151,7 +152,7 @@ def _remarks(report: Report, all_methods: bool, file: str | None) -> list[str]:
     lines = []
     absent = [name for name in METHODS if name.replace("-", " ") not in {score.name for score in report.scores}]
     if all_methods and absent:
-        drawn = "" if report.machine.is_nominal else "they take nominal machines only, or "
+        drawn = "they take nominal manipulators of RPS legs only, or " if "paper" in absent else ""
         lines.append(f"Left out, since {drawn}their packages are not installed: {', '.join(absent)}.")
     worst = report.worst
     if worst is not None:
@@ -172,10 +173,10 @@ def _remarks(report: Report, all_methods: bool, file: str | None) -> list[str]:
 def _comparison_content(report: Report, file: str | None) -> dict[str, Any]:
     content = {name: getattr(report, name) for name in ("agrees", "verdict", "outliers", "seed", "requested")}
     sizes = ("base_radius", "platform_radius", "middle_side")
-    poses = zip(report.translation, report.xyx, strict=True)
+    names = [f"{name}_degrees" if name in ("xyx", "roll", "pitch") else name for name in report.requests]
     return content | {
-        "geometry": {name: getattr(report.machine, name) for name in sizes},
-        "poses": [{"translation": translation, "xyx_degrees": xyx} for translation, xyx in poses],
+        "geometry": {name: getattr(report.machine, name) for name in sizes if hasattr(report.machine, name)},
+        "poses": [dict(zip(names, numbers, strict=True)) for numbers in zip(*report.requests.values(), strict=True)],
         "reached": report.reached,
         "states": report.states,
         "methods": [vars(score) for score in report.scores],

@@ -28,8 +28,6 @@ _OWN_OPTIONS: dict[str, set[str]] = {
     "linuxcnc": set(),
 }
 """Options of some formats only, by format."""
-_OF_ONE_KIND = "c", "ros", "c-stage"
-"""Formats that one kind of machine has."""
 
 
 def export(
@@ -74,7 +72,8 @@ def export(
 
     c: inverse and forward displacement, J_f, leg forces, weights and joint values in C99 for controllers, with a test
     program. linuxcnc: a configuration that simulates the machine, and the source of its kinematics
-    module. ros or ros2: a ROS 2 package with the description, a node for joint states, a launch file and a controller.
+    module. ros or ros2: a ROS 2 package with the description, a node for joint states, a launch file and a controller;
+    a stage follows the height and the normal of its poses.
     c-stage: one header in C99 for a microcontroller, for a stage, such as a ball balancer.
     """
     if (format_ is None) == (option is None):
@@ -90,7 +89,7 @@ def export(
     is_stage = isinstance(machine, Stage)
     if ball and not is_stage:
         raise ArgumentError("--ball", "a single stage, on which it rolls", "a manipulator")
-    if chosen in _OF_ONE_KIND and is_stage != (chosen == "c-stage"):
+    if chosen in ("c", "c-stage") and is_stage != (chosen == "c-stage"):
         kinds = ("a manipulator", "a stage: its file, or --base, --platform and so on")
         received = "a stage" if is_stage else "a manipulator" if typed.given else "none"
         cause = "Use --format c-stage for a stage" if chosen == "c" else ""

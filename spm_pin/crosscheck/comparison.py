@@ -1,6 +1,6 @@
-"""Comparison of methods on random poses: results, scores and the report.
+"""Comparison of methods on random poses of a manipulator, or tilts and heights of a stage: scores and the report.
 
-A branch is real if its nine loop equations hold and it is isolated; this is measured, not voted on. A method whose
+A branch is real if its loop equations hold and it is isolated; this is measured, not voted on. A method whose
 branch does not close has invented it. A method that lacks a branch which another method proved has missed it, and may
 do so as often as it states. Positions, Jacobians and forces are compared in pairs; if a pair differs by more than
 conditioning and rounding explain, the outlier is attributed by majority.
@@ -13,19 +13,20 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 from scipy.spatial.transform import RigidTransform
 
+from spm_pin.crosscheck.ball_states import closure_residuals, freedoms, is_stage, states_with_balls
 from spm_pin.crosscheck.methods import Method, make_methods
 from spm_pin.crosscheck.random_poses import in_leg_space, on_all_rotations, printable
 from spm_pin.crosscheck.tolerances import ROWS, Conditioning
 from spm_pin.errors import ArgumentError
-from spm_pin.machine import BRANCHES, Configuration, Manipulator, Status
-from spm_pin.machine.manipulator import check_manipulator
+from spm_pin.machine import Manipulator, Status
+from spm_pin.machine.machine import Machine, check_machine
 from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, Progress, whole_number
 from spm_pin.support.pose import inverse_command
 
@@ -37,7 +38,6 @@ _FORCE = 1e3
 """Largest component of the wrenches: forces [N], and moments over d [N]."""
 _UNLIKELY = 1e-6
 """A number of missed branches less probable than this at a method's stated rate counts as a fault."""
-_BRANCHES = len(BRANCHES)
 _FAR = 1e9
 """Distance [m] beyond that of any two branches."""
 
@@ -141,16 +141,17 @@ class MethodScore:
 class Report:
     """The outcome of a comparison."""
 
-    machine: Manipulator
-    """The manipulator."""
+    machine: Machine
+    """The manipulator or the stage."""
     seed: int
     """Seed of the poses and wrenches."""
     requested: int
     """Number of poses asked for; the report of a run that was interrupted has fewer."""
-    translation: FloatArray
-    """Positions of o at the poses compared, in {B} [m], shape (N, 3)."""
-    xyx: FloatArray
-    """Their X-Y-X angles in degrees, shape (N, 3)."""
+    requests: dict[str, FloatArray]
+    """The poses compared, as options of the command line: `translation` [m] and `xyx` in degrees, shape (N, 3) each.
+
+    For a stage they are `height` [m], `roll` and `pitch` in degrees, shape (N,) each.
+    """
     reached: int
     """Number of poses with a branch."""
     states: int
@@ -159,6 +160,11 @@ class Report:
     """One per method."""
     differences: tuple[PairDifference, ...]
     """One per pair and quantity."""
+
+    @property
+    def poses(self) -> int:
+        """Number of poses compared."""
+        return len(next(iter(self.requests.values())))
 
     @property
     def agrees(self) -> bool:
@@ -190,12 +196,14 @@ class Report:
         return f"{self.outliers[0]} is wrong: the others agree."
 
     def command(self, pose: int, machine_file: str | None = None) -> str:
-        """Return the command line that solves a pose of this report; without a file, for the paper's machine."""
-        return inverse_command(self.translation[pose], self.xyx[pose], machine_file)
+        """Return the command line that solves a pose of this report, FILE if no file of the machine is given."""
+        if machine_file is None and self.machine != Manipulator.paper():
+            machine_file = "FILE"
+        return inverse_command({name: numbers[pose] for name, numbers in self.requests.items()}, machine_file)
 
 
 def compare_in_batches(
-    machine: Manipulator,
+    machine: Machine,
     *,
     poses: int = 200,
     seed: int = 0,
@@ -208,12 +216,12 @@ def compare_in_batches(
     """
     poses = whole_number(poses, "poses", "a whole number, at least 1", least=1)
     seed = whole_number(seed, "seed", "a whole number, at least 0", most=1 << 128)
-    check_manipulator(machine)
+    check_machine(machine)
     rng = np.random.default_rng(seed)
     inner = max(1, round(LEG_SPACE * poses))
     drawn = [in_leg_space(machine, inner, rng), on_all_rotations(machine, poses - inner, rng)]
     matrices = np.concatenate([part.as_matrix() for part in drawn])[rng.permutation(poses)]
-    sample, translation, xyx = printable(RigidTransform.from_matrix(matrices))
+    sample, requests = printable(machine, RigidTransform.from_matrix(matrices))
     made = make_methods(methods, machine)
     done = 0
 
@@ -234,8 +242,7 @@ def compare_in_batches(
             machine,
             seed,
             poses,
-            translation[:done],
-            xyx[:done],
+            {name: numbers[:done] for name, numbers in requests.items()},
             comparison.reached,
             comparison.states,
             tuple(map(copy, comparison.scores.values())),
@@ -244,7 +251,7 @@ def compare_in_batches(
 
 
 def compare_methods(
-    machine: Manipulator,
+    machine: Machine,
     *,
     poses: int = 200,
     seed: int = 0,
@@ -255,9 +262,9 @@ def compare_methods(
 
     Parameters
     ----------
-    machine : Manipulator
-        The manipulator, nominal or calibrated. A numerical search has no labels for a calibrated machine: its branches
-        are compared as sets, each paired with the nearest of those found by the previous methods.
+    machine : Manipulator or Stage
+        The machine, nominal or calibrated. A numerical search has no labels for a calibrated manipulator and for a
+        stage: its branches are compared as sets, each paired with the nearest of those found by the previous methods.
     poses : int
         Number of poses; four fifths of them in leg space.
     seed : int
@@ -274,14 +281,16 @@ def compare_methods(
 class _Answer(NamedTuple):
     """The branches one method found at n poses; NaN where it found none or did not solve the pose."""
 
-    states: Configuration
-    """The branches of all poses, shape (8 n,)."""
+    states: Any
+    """The branches of all poses, shape (m n,) with m labels."""
+    residual: FloatArray
+    """Violations of the loop equations and of the requests [m], shape (m n,)."""
     selected: BoolArray
     """Poses that the method was given, shape (n,)."""
     status: npt.NDArray[np.int8]
     """One `Status` per pose, shape (n,)."""
     rounding: FloatArray
-    """Closure residuals that the method states [m], shape (8 n,)."""
+    """Closure residuals that the method states [m], shape (m n,)."""
 
 
 class _Comparison:
@@ -290,7 +299,7 @@ class _Comparison:
     `describe_step` is called with a line of text before each part of the work.
     """
 
-    def __init__(self, machine: Manipulator, methods: Sequence[Method], describe_step: Callable[[str], None]) -> None:
+    def __init__(self, machine: Machine, methods: Sequence[Method], describe_step: Callable[[str], None]) -> None:
         names = [method.name for method in methods]
         if len(set(names)) < len(names):
             raise ArgumentError("methods", "methods with different names", names)
@@ -301,6 +310,8 @@ class _Comparison:
         self._methods = methods
         self._describe_step = describe_step
         self._labels: tuple[str, ...] = ()
+        self._known: FloatArray | None = None
+        """The branches of the batch, (n, m, 3, 3): those of the first method, and what others add where it has none."""
 
     @property
     def differences(self) -> tuple[PairDifference, ...]:
@@ -310,10 +321,10 @@ class _Comparison:
 
     def add(self, poses: RigidTransform, selected: Mapping[str, BoolArray], rng: np.random.Generator) -> None:
         """Compare the methods at poses (n,), each solving those of its mask `selected` (n,); one must solve some."""
-        known = np.full((len(poses), _BRANCHES, 3, 3), np.nan)
+        self._known = None
         answers = {}
         for method in self._methods:
-            answer = self._solve(method, poses, selected[method.name], known)
+            answer = self._solve(method, poses, selected[method.name])
             if answer is not None:
                 answers[method.name] = answer
         if not self._labels:
@@ -324,16 +335,16 @@ class _Comparison:
                 self._score(method, answers[method.name], proved)
         place = np.flatnonzero(proved.exists)
         if len(place):
-            joints = {name: answer.states.middle_joints.reshape(-1, 9)[place] for name, answer in answers.items()}
+            joints = {name: _lower_balls(answer.states)[place].reshape(-1, 9) for name, answer in answers.items()}
             self._compare_states(proved[place], place, joints, rng)
         self.poses += len(poses)
-        self.reached += len(np.unique(place // _BRANCHES))
+        self.reached += len(np.unique(place // len(self._labels)))
         self.states += len(place)
 
-    def _solve(self, method: Method, poses: RigidTransform, selected: BoolArray, known: FloatArray) -> _Answer | None:
+    def _solve(self, method: Method, poses: RigidTransform, selected: BoolArray) -> _Answer | None:
         """Return a method's branches of poses (n,); None if it solves none of them.
 
-        Those of a calibrated machine are put into the order of the branches `known` (n, 8, 3, 3), and added to these.
+        Those with other labels than the first method's are put into the order of the branches `_known`.
         """
         if not selected.any():
             return None
@@ -341,46 +352,51 @@ class _Comparison:
         solutions = method.inverse(poses[selected])
         if solutions is None:
             return None
-        joints = np.full((len(poses), _BRANCHES, 3, 3), np.nan)
+        labels = self._labels = self._labels or solutions.labels
+        joints = np.full((len(poses), len(labels), 3, 3), np.nan)
         status = np.full(len(poses), Status.UNSOLVED, dtype=np.int8)
-        joints[selected], status[selected] = solutions.middle_joints, solutions.status
-        self._labels = self._labels or solutions.labels
-        if not self._machine.is_nominal:
-            for before, branches in zip(known, joints, strict=True):
-                distance = np.linalg.norm((before[:, None] - branches).reshape(_BRANCHES, _BRANCHES, 9), axis=-1)
+        joints[selected], status[selected] = _lower_balls(solutions.configurations), solutions.status
+        known = self._known = joints.copy() if self._known is None else self._known
+        for before, branches in zip(known, joints, strict=True):
+            if solutions.labels != labels:
+                distance = np.linalg.norm((before[:, None] - branches).reshape(len(labels), -1, 9), axis=-1)
                 # What is absent is paired last.
                 order = scipy.optimize.linear_sum_assignment(np.nan_to_num(distance, nan=_FAR))[1]
                 branches[:] = branches[order]
-                np.copyto(before, branches, where=np.isnan(before))
-        states = self._configuration(poses, joints.reshape(-1, 3, 3))
+            np.copyto(before, branches, where=np.isnan(before))
+        flat = joints.reshape(-1, 3, 3)
+        states, requested = self._states(poses, flat)
         with np.errstate(invalid="ignore"):
-            return _Answer(states, selected, status, method.rounding(states))
+            residual = closure_residuals(states, requested, flat)
+            return _Answer(states, residual, selected, status, method.rounding(states))
 
-    def _proved(self, poses: RigidTransform, answers: Sequence[_Answer]) -> Configuration:
-        """Return the branches (8 n,) of the first method whose state closes to rounding and is isolated."""
-        joints = np.full((len(poses) * _BRANCHES, 3, 3), np.nan)
+    def _proved(self, poses: RigidTransform, answers: Sequence[_Answer]) -> Any:
+        """Return the branches (m n,) of the first method whose state closes to rounding and is isolated."""
+        joints = np.full((len(poses) * len(self._labels), 3, 3), np.nan)
         for answer in reversed(answers):
             with np.errstate(invalid="ignore"):
-                closed = answer.states.closure_residual <= ROWS * answer.rounding
+                closed = answer.residual <= ROWS * answer.rounding
             certain = closed & Conditioning.from_configuration(answer.states).resolves(answer.rounding)
-            joints[certain] = answer.states.middle_joints[certain]
+            joints[certain] = _lower_balls(answer.states)[certain]
         for answer in answers:
             # A pose with a continuous family has no list of branches to compare.
-            joints[np.repeat(answer.status == Status.DEGENERATE, _BRANCHES)] = np.nan
-        return self._configuration(poses, joints)
+            joints[np.repeat(answer.status == Status.DEGENERATE, len(self._labels))] = np.nan
+        return self._states(poses, joints)[0]
 
-    def _configuration(self, poses: RigidTransform, joints: FloatArray) -> Configuration:
-        matrix = np.repeat(poses.as_matrix(), _BRANCHES, axis=0)
-        return Configuration.from_arrays(self._machine, matrix[:, :3, :3], matrix[:, :3, 3], joints)
+    def _states(self, poses: RigidTransform, joints: FloatArray) -> tuple[Any, FloatArray]:
+        """Return the states with joints (m n, 3, 3), and their requests (m n, 4, 4)."""
+        matrix = np.repeat(poses.as_matrix(), len(self._labels), axis=0)
+        return states_with_balls(self._machine, matrix, joints), matrix
 
-    def _score(self, method: Method, answer: _Answer, proved: Configuration) -> None:
+    def _score(self, method: Method, answer: _Answer, proved: Any) -> None:
         """Count the branches a method invented, and those it missed although its arithmetic resolves them."""
         exists = answer.states.exists
         with np.errstate(invalid="ignore"):
-            share = answer.states.closure_residual / (ROWS * answer.rounding)
+            share = answer.residual / (ROWS * answer.rounding)
             resolved = Conditioning.from_configuration(proved).resolves(method.rounding(proved))
         invented = exists & (share > 1.0)
-        missed = (proved.exists & resolved & ~exists).reshape(-1, _BRANCHES).any(axis=-1) & answer.selected
+        count = len(self._labels)
+        missed = (proved.exists & resolved & ~exists).reshape(-1, count).any(axis=-1) & answer.selected
         score = self.scores[method.name]
         score.solved += int(answer.selected.sum())
         score.unsolved += int((answer.selected & (answer.status == Status.UNSOLVED)).sum())
@@ -388,37 +404,40 @@ class _Comparison:
         score.invented += int(invented.sum())
         score.missed += int(missed.sum())
         score.residual = max(score.residual, float(np.nanmax(share, initial=0.0)))
-        for name, marked in (("invented_at", invented.reshape(-1, _BRANCHES).any(axis=-1)), ("missed_at", missed)):
+        for name, marked in (("invented_at", invented.reshape(-1, count).any(axis=-1)), ("missed_at", missed)):
             if getattr(score, name) < 0 and marked.any():
                 setattr(score, name, self.poses + int(marked.argmax()))
 
     def _compare_states(
-        self, states: Configuration, place: IntArray, joints: dict[str, FloatArray], rng: np.random.Generator
+        self, states: Any, place: IntArray, joints: dict[str, FloatArray], rng: np.random.Generator
     ) -> None:
         """Compare the ball joints (m, 9), Jacobians, leg forces and assembled states at proved branches (m,).
 
-        `place` (m,) is 8 times the number of the pose in the batch, plus the number of the branch.
+        `place` (m,) is the number of the pose in the batch times that of labels, plus the number of the branch.
         """
-        count, side = len(place), self._machine.middle_side
+        count, machine = len(place), self._machine
+        per_angle = np.repeat([1.0, machine.ball_side], 3)
         # Rates and forces of the actuators in units of those of rods.
-        slopes = self._machine.legs.largest_slopes
+        slopes = machine.legs.largest_slopes
         conditioning = Conditioning.from_configuration(states)
         rounding = {method.name: method.rounding(states) for method in self._methods}
-        wrench = _FORCE * rng.uniform(-1.0, 1.0, (count, 6)) * np.repeat([1.0, side], 3)
+        wrench = _FORCE * rng.uniform(-1.0, 1.0, (count, 6)) * per_angle
         rates: dict[str, FloatArray] = {}
         forces: dict[str, FloatArray] = {}
-        assembled: dict[str, FloatArray] = {"given state": states.compared_points.reshape(-1, 18)}
+        assembled: dict[str, FloatArray] = {"given state": states.compared_points.reshape(count, -1)}
         for method in self._methods:
             self._describe_step(f"{method.name}: Jacobians and forces")
             jacobian, force = method.inverse_jacobian(states), method.leg_forces(states, wrench)
             built = method.assembled(states)
             if jacobian is not None:
-                rates[method.name] = (slopes[:, None] * jacobian / np.repeat([1.0, side], 3)).reshape(-1, 36)
+                rates[method.name] = (slopes[:, None] * jacobian / per_angle[freedoms(machine)]).reshape(count, -1)
             if force is not None:
                 forces[method.name] = force / slopes
             if built is not None:
-                assembled[method.name] = built.compared_points.reshape(-1, 18)
+                assembled[method.name] = built.compared_points.reshape(count, -1)
         size = np.nanmax([np.zeros(count), *(np.linalg.norm(force, axis=-1) for force in forces.values())], axis=0)
+        if is_stage(machine):
+            size = size + np.linalg.norm(wrench / per_angle, axis=-1)
         quantities: dict[Quantity, tuple[dict[str, FloatArray], Callable[[FloatArray], FloatArray]]] = {
             Quantity.POSITIONS: (joints, conditioning.position),
             Quantity.JACOBIAN: (rates, conditioning.rates),
@@ -448,7 +467,7 @@ class _Comparison:
             if not both.any():
                 continue
             k = int(ratio.argmax())
-            pose, branch = divmod(int(place[k]), _BRANCHES)
+            pose, branch = divmod(int(place[k]), len(self._labels))
             counts = int(both.sum()), int(apart.sum()), float(difference[k]), float(tolerance[k])
             pair = PairDifference(quantity, first, second, *counts, self.poses + pose, self._labels[branch])
             before = self._differences.get((quantity, first, second))
@@ -458,3 +477,8 @@ class _Comparison:
             # Where two contradict each other and no third decides, either may be wrong.
             lost = opposed[name] & ((support[name] < strongest) | (strongest == 0))
             self.scores[name].outvoted += int(lost.sum())
+
+
+def _lower_balls(states: Any) -> FloatArray:
+    """Return the balls of the lower legs, or of a stage, by which branches are compared, (..., 3, 3)."""
+    return np.asarray(states.balls[..., :3, :])

@@ -1,4 +1,4 @@
-"""Independent methods for the same problems of a robot; they share types and no code.
+"""Independent methods for the same problems of a manipulator or a stage; they share types and no code.
 
 Each returns None for what it does not compute, and states the closure residual that its arithmetic may leave and how
 often its route may lose a branch. Large libraries are imported when a method that needs them is made.
@@ -10,22 +10,28 @@ import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from spm_pin.crosscheck.ball_states import is_stage
 from spm_pin.crosscheck.paper import resultant
 from spm_pin.crosscheck.paper.jacobian import CORRECT, J_f, Table5Mistakes, f_r
 from spm_pin.errors import ArgumentError, GeometryError
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
-from spm_pin.kinematics.rates_and_forces import inverse_jacobian, leg_forces
-from spm_pin.machine import Configuration, Manipulator, SolutionSet
+from spm_pin.kinematics.rates_and_forces import State, inverse_jacobian, leg_forces
+from spm_pin.machine import SolutionSet
+from spm_pin.machine.machine import Machine
 from spm_pin.machine.manipulator import check_rps
+from spm_pin.machine.stage_configuration import StageSolutions
 from spm_pin.support.arguments import FloatArray
 
 ROUNDING = 64.0 * float(np.finfo(np.float64).eps)
 """Closure residual of a backward stable route, relative to the size of the robot: the closed form's worst
 over 10⁵ poses is 45 eps, see `docs/theory/inverse_displacement.md`."""
+Branches = SolutionSet | StageSolutions
+"""The branches of a manipulator or of a stage."""
 _REFINE = 30
 """Newton steps on Eq. (13): near a double root four leave residuals a thousand times as large as rounding."""
 
@@ -34,8 +40,8 @@ _REFINE = 30
 class Method:
     """A method to compare; subclasses override what they compute."""
 
-    machine: Manipulator
-    """The manipulator."""
+    machine: Any
+    """The manipulator or the stage."""
     name: str = ""
     """Its name in the report."""
     miss_rate: float = 0.0
@@ -43,43 +49,45 @@ class Method:
     share: float = 1.0
     """Fraction of the poses that it solves, less than one for slow methods."""
 
-    def inverse(self, pose: RigidTransform) -> SolutionSet | None:
-        """Return the branches of poses (N,)."""
+    def inverse(self, pose: RigidTransform) -> Branches | None:
+        """Return the branches of poses (N,); for a stage of their heights and normals."""
         return None
 
-    def inverse_jacobian(self, configuration: Configuration) -> FloatArray | None:
-        """Return J_f (N, 6, 6) of states (N,) in SI; NaN where a state is singular."""
+    def inverse_jacobian(self, configuration: State) -> FloatArray | None:
+        """Return J_f (N, 6, 6), for a stage (N, 3, 3), of states (N,) in SI; NaN where a state is singular."""
         return None
 
-    def leg_forces(self, configuration: Configuration, wrench: FloatArray) -> FloatArray | None:
-        """Return the leg forces (N, 6) [N] of states (N,) that balance wrenches (N, 6); NaN where singular."""
+    def leg_forces(self, configuration: State, wrench: FloatArray) -> FloatArray | None:
+        """Return the efforts (N, 6) or (N, 3) of states (N,) that balance wrenches (N, 6); NaN where singular."""
         return None
 
-    def assembled(self, configuration: Configuration) -> Configuration | None:
+    def assembled(self, configuration: State) -> State | None:
         """Return states (N,) as the method's own model assembles them from their joint values."""
         return None
 
-    def rounding(self, configuration: Configuration) -> FloatArray:
+    def rounding(self, configuration: State) -> FloatArray:
         """Return the closure residual [m] that its arithmetic may leave at states (N,)."""
         return ROUNDING * _magnitude(configuration)
 
 
-def _magnitude(configuration: Configuration) -> FloatArray:
+def _magnitude(configuration: State) -> FloatArray:
     """Return the size of the numbers in the loop equations [m], shape (...)."""
-    machine = configuration.machine
-    fixed = machine.base_radius + machine.platform_radius + machine.middle_side
     distance = np.linalg.norm(configuration.translation, axis=-1)
-    return np.asarray(fixed + distance + np.abs(configuration.middle_joints).max(axis=(-1, -2)))
+    balls = np.abs(configuration.balls[..., :3, :]).max(axis=(-1, -2))
+    return np.asarray(sum(configuration.machine.dimensions) + distance + balls)
 
 
 @dataclass
 class ClosedForm(Method):
-    """Four quadratics, and forces through the ball joints: `spm_pin.kinematics`."""
+    """Four quadratics, or for a stage one equation, and forces through the ball joints: `spm_pin.kinematics`."""
 
     name: str = "closed form"
 
-    def inverse(self, pose: RigidTransform) -> SolutionSet:
+    def inverse(self, pose: RigidTransform) -> Branches:
         """Solve poses (N,)."""
+        if is_stage(self.machine):
+            matrix = pose.as_matrix()
+            return inverse_displacement(self.machine, matrix[..., 2, 3], normal=matrix[..., :3, 2])
         return inverse_displacement(self.machine, pose)
 
     inverse_jacobian = staticmethod(inverse_jacobian)
@@ -100,24 +108,24 @@ class Paper(Method):
 
     def __post_init__(self) -> None:
         check_rps(self.machine, "the paper's equations")
-        if not self.machine.is_nominal:
-            expected = "a nominal machine, whose equations are those of the paper"
-            cause = "Leave this method out, or compare machine.nominal"
-            raise GeometryError("machine", expected, "a calibrated one", cause)
+        if is_stage(self.machine) or not self.machine.is_nominal:
+            expected = "a nominal machine of two stages, whose equations are those of the paper"
+            received = "one stage" if is_stage(self.machine) else "a calibrated one"
+            raise GeometryError("machine", expected, received, "Leave this method out, or compare another machine")
 
     def inverse(self, pose: RigidTransform) -> SolutionSet:
         """Solve poses (N,)."""
         return resultant.inverse_displacement(self.machine, pose, refine=_REFINE)
 
-    def inverse_jacobian(self, configuration: Configuration) -> FloatArray:
+    def inverse_jacobian(self, configuration: Any) -> FloatArray:
         """Return J_f (N, 6, 6)."""
         return J_f(configuration, self.mistakes)
 
-    def leg_forces(self, configuration: Configuration, wrench: FloatArray) -> FloatArray:
+    def leg_forces(self, configuration: Any, wrench: FloatArray) -> FloatArray:
         """Return forces (N, 6) [N]."""
         return f_r(configuration, wrench[..., :3], wrench[..., 3:], self.mistakes)
 
-    def rounding(self, configuration: Configuration) -> FloatArray:
+    def rounding(self, configuration: Any) -> FloatArray:
         """Return the closure residual [m], with the squared slopes of the lines in the coefficients of Eq. (13)."""
         along = np.cross(configuration.machine.revolute_axes, configuration.platform_axes)
         with np.errstate(divide="ignore"):
@@ -139,10 +147,10 @@ class _MultiStart(Method):
     def __post_init__(self) -> None:
         self._nlp = import_module("spm_pin.crosscheck.nlp")
 
-    def inverse(self, pose: RigidTransform) -> SolutionSet:
+    def inverse(self, pose: RigidTransform) -> Branches:
         """Solve poses (N,)."""
         search = self._nlp.search(self.machine, pose, starts=self.starts, solver=self.solver)
-        solutions: SolutionSet = search.solutions
+        solutions: Branches = search.solutions
         return solutions
 
 
@@ -168,16 +176,27 @@ class Nlp(_MultiStart):
         super().__post_init__()
         self._derivatives = self._nlp.leg_jacobian(self.machine)
 
-    def inverse_jacobian(self, configuration: Configuration) -> FloatArray | None:
-        """Return J_f (N, 6, 6)."""
-        points = configuration.middle_joints.reshape(-1, 9), configuration.rotation, configuration.translation
-        derivatives = (self._derivatives(*point) for point in zip(*points, strict=True))
-        return np.stack([self._nlp.inverse_jacobian(each) for each in derivatives])
+    def _derivatives_at(self, configuration: State) -> list[Any]:
+        points = configuration.balls[..., :3, :].reshape(-1, 9), configuration.rotation, configuration.translation
+        return [self._derivatives(*point) for point in zip(*points, strict=True)]
 
-    def leg_forces(self, configuration: Configuration, wrench: FloatArray) -> FloatArray | None:
-        """Return forces (N, 6) [N]."""
-        transposed = np.swapaxes(np.asarray(self.inverse_jacobian(configuration)), -1, -2)
-        return np.asarray(-np.linalg.solve(transposed, wrench[..., None])[..., 0])
+    def inverse_jacobian(self, configuration: State) -> FloatArray | None:
+        """Return J_f (N, 6, 6), for a stage (N, 3, 3)."""
+        return np.stack([self._nlp.inverse_jacobian(each) for each in self._derivatives_at(configuration)])
+
+    def leg_forces(self, configuration: State, wrench: FloatArray) -> FloatArray | None:
+        """Return efforts (N, 6), for a stage (N, 3), by virtual work; its parasitic motion is that of its balls."""
+        derivatives = self._derivatives_at(configuration)
+        transposed = np.stack([self._nlp.inverse_jacobian(each) for each in derivatives]).mT
+        load = wrench[..., None]
+        if is_stage(self.machine):
+            closure_b, closure_x = (np.stack([np.asarray(each[k]) for each in derivatives]) for k in (0, 1))
+            arms = configuration.balls - configuration.translation[:, None]
+            turned = np.cross(np.eye(3), arms[:, :, None]).mT
+            of_balls = np.concatenate([np.broadcast_to(np.eye(3), turned.shape), turned], axis=-1).reshape(-1, 9, 6)
+            twists = -np.linalg.pinv(of_balls) @ np.linalg.solve(closure_b, closure_x)
+            load = twists.mT @ load
+        return np.asarray(-np.linalg.solve(transposed, load)[..., 0])
 
 
 @dataclass
@@ -189,21 +208,21 @@ class Pinocchio(Method):
     def __post_init__(self) -> None:
         self.chain = import_module("spm_pin.multibody.chain").ClosedChain.from_urdf(machine=self.machine)
 
-    def inverse_jacobian(self, configuration: Configuration) -> FloatArray:
-        """Return J_f (N, 6, 6)."""
+    def inverse_jacobian(self, configuration: State) -> FloatArray:
+        """Return J_f (N, 6, 6), for a stage (N, 3, 3)."""
         return np.asarray(self.chain.state(self.chain.joint_values(configuration)).inverse_jacobian())
 
-    def leg_forces(self, configuration: Configuration, wrench: FloatArray) -> FloatArray:
-        """Return forces (N, 6) [N]."""
+    def leg_forces(self, configuration: State, wrench: FloatArray) -> FloatArray:
+        """Return efforts (N, 6), for a stage (N, 3)."""
         return np.asarray(self.chain.state(self.chain.joint_values(configuration)).leg_forces(wrench))
 
-    def assembled(self, configuration: Configuration) -> Configuration:
+    def assembled(self, configuration: State) -> State:
         """Return the configurations that the tree's frames give at the joint values of states (N,)."""
-        states: Configuration = self.chain.state(self.chain.joint_values(configuration)).configuration()
+        states: State = self.chain.state(self.chain.joint_values(configuration)).configuration()
         return states
 
 
-METHODS: dict[str, Callable[[Manipulator], Method]] = {
+METHODS: dict[str, Callable[[Any], Method]] = {
     "closed-form": ClosedForm,
     "paper": Paper,
     "pinocchio": Pinocchio,
@@ -213,10 +232,10 @@ METHODS: dict[str, Callable[[Manipulator], Method]] = {
 """Methods by their name on the command line."""
 
 
-def make_methods(names: Sequence[Method | str] | None, machine: Manipulator) -> list[Method]:
+def make_methods(names: Sequence[Method | str] | None, machine: Machine) -> list[Method]:
     """Return methods: by their names in `METHODS`, as given, or all of `METHODS` that can be used.
 
-    These are the methods whose packages can be imported and that take the machine, nominal or calibrated.
+    These are the methods whose packages can be imported and that take the machine.
     """
     if names is None:
         serving = []

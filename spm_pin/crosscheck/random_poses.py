@@ -1,46 +1,53 @@
-"""Random poses for comparisons."""
+"""Random poses for comparisons, of which a stage is requested the heights and the normals."""
 
 from __future__ import annotations
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from spm_pin.crosscheck.ball_states import is_stage
 from spm_pin.kinematics.random_states import random_states
-from spm_pin.machine import Configuration, Manipulator, pose
-from spm_pin.machine.manipulator import check_manipulator
+from spm_pin.machine import pose
+from spm_pin.machine.machine import Machine, check_machine
 from spm_pin.support.arguments import FloatArray, generator, whole_number
 
 
-def in_leg_space(machine: Manipulator, count: int, rng: np.random.Generator | int) -> RigidTransform:
-    """Draw poses (count,) of physical states whose leg lengths are uniform within the limits.
+def in_leg_space(machine: Machine, count: int, rng: np.random.Generator | int) -> RigidTransform:
+    """Draw poses (count,) of physical states whose readings are uniform within the limits.
 
-    Without limits the lengths are those of the home, a third more or less.
+    Without limits the balls are as far from their pivots as in the home, a third more or less.
     """
     count, rng = _checked(machine, count, rng)
-    states: Configuration = random_states(machine, count, rng)
-    return states.pose
+    poses: RigidTransform = random_states(machine, count, rng).pose
+    return poses
 
 
-def on_all_rotations(machine: Manipulator, count: int, rng: np.random.Generator | int) -> RigidTransform:
+def on_all_rotations(machine: Machine, count: int, rng: np.random.Generator | int) -> RigidTransform:
     """Draw poses (count,) with rotations uniform on SO(3), near enough to the axis that about half have branches."""
     count, rng = _checked(machine, count, rng)
-    far = 1.5 * machine.middle_radius * np.sqrt(rng.uniform(size=count))
+    far = 1.5 * machine.stage_radii[0][1] * np.sqrt(rng.uniform(size=count))
     azimuth = rng.uniform(-np.pi, np.pi, count)
-    height = rng.uniform(-3.0, 3.0, count) * machine.middle_side
+    height = rng.uniform(-3.0, 3.0, count) * machine.ball_side
     position = np.stack([far * np.cos(azimuth), far * np.sin(azimuth), height], axis=-1)
     return pose(position, rotation=Rotation.random(count, rng=rng))
 
 
-def _checked(machine: Manipulator, count: int, rng: np.random.Generator | int) -> tuple[int, np.random.Generator]:
-    check_manipulator(machine)
+def _checked(machine: Machine, count: int, rng: np.random.Generator | int) -> tuple[int, np.random.Generator]:
+    check_machine(machine)
     return whole_number(count, "count", "a number of poses up to 10⁹", most=10**9), generator(rng)
 
 
-def printable(poses: RigidTransform) -> tuple[RigidTransform, FloatArray, FloatArray]:
+def printable(machine: Machine, poses: RigidTransform) -> tuple[RigidTransform, dict[str, FloatArray]]:
     """Return poses (N,) that the command line reproduces to the last bit, equal to those given up to rounding.
 
-    And the numbers to type: translations (N, 3) [m], and X-Y-X Euler angles (N, 3) in degrees.
+    And the numbers (N, ...) to type, by their options: [m] and degrees. For a stage the poses have no more than its
+    height and its normal, on the axis of the base.
     """
     translation = np.asarray(poses.translation)
+    if is_stage(machine):
+        angles = np.asarray(poses.rotation.as_euler("XYZ", degrees=True))[:, :2]
+        rotation, height = Rotation.from_euler("XY", angles, degrees=True), translation[:, 2]
+        on_axis = pose(translation * [0.0, 0.0, 1.0], rotation=rotation)
+        return on_axis, {"height": height, "roll": angles[:, 0], "pitch": angles[:, 1]}
     xyx = np.asarray(poses.rotation.as_euler("XYX", degrees=True))
-    return pose(translation, xyx=np.deg2rad(xyx)), translation, xyx
+    return pose(translation, xyx=np.deg2rad(xyx)), {"translation": translation, "xyx": xyx}

@@ -52,7 +52,7 @@ def agreement_figure(report: Report) -> Figure:
     ax.set_xlabel("largest difference over its tolerance (red line: the tolerance)")
     legend_below(figure)
     ax.spines[["top", "right"]].set_visible(False)
-    count = "1 pose" if len(report.xyx) == 1 else f"{len(report.xyx)} poses"
+    count = "1 pose" if report.poses == 1 else f"{report.poses} poses"
     figure.suptitle(f"{report.verdict} {count}, {report.states} configurations")
     return figure
 

@@ -175,6 +175,11 @@ def _constants(machine: Machine) -> _Constants:
     return _Constants(tuple(legs), tuple(machine.legs.sides.tolist()), weights, tuple(kinds))
 
 
+def leg_frames(machine: Machine) -> tuple[formulas.LegFrame, ...]:
+    """Return the constants of the legs from which their joint values follow."""
+    return _constants(machine).legs
+
+
 def _tuples(matrix: FloatArray) -> Any:
     return tuple(map(tuple, matrix.tolist()))
 

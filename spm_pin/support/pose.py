@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
@@ -165,11 +165,11 @@ def first_wrong_quaternion(quaternions: FloatArray) -> tuple[tuple[int, ...], st
     return index, f"length {lengths[index]:g}", cause
 
 
-def inverse_command(translation: FloatArray, xyx: FloatArray, machine_file: str | None = None) -> str:
-    """Return the command that solves one pose: translation (3,) [m], X-Y-X angles (3,) in degrees."""
-    numbers = [" ".join(repr(float(x)) for x in part) for part in (translation, xyx)]
+def inverse_command(request: Mapping[str, npt.ArrayLike], machine_file: str | None = None) -> str:
+    """Return the command that solves a request: its numbers by the options, [m] and degrees; a height for a stage."""
+    numbers = "".join(f" --{name} {' '.join(repr(float(x)) for x in np.ravel(x))}" for name, x in request.items())
     robot = "" if machine_file is None else f" --machine {shlex.quote(machine_file)}"
-    return f"spm-pin inverse --translation {numbers[0]} --xyx {numbers[1]}{robot}"
+    return f"spm-pin {'stage ' * ('height' in request)}inverse{numbers}{robot}"
 
 
 def as_rigid_transform(value: PoseLike, argument: str = "pose") -> RigidTransform:

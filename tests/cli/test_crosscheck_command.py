@@ -43,7 +43,7 @@ def test_one_method_has_no_differences_to_show() -> None:
 def test_methods_that_know_the_drawing_alone_are_mentioned(tmp_path: Path) -> None:
     spm.Manipulator.paper().perturbed(3).to_yaml(tmp_path / "built.yaml")
     done = run("crosscheck", "--poses", "2", "--machine", tmp_path / "built.yaml")
-    assert "Left out, since they take nominal machines only, or their packages are not" in done.stdout
+    assert "Left out, since they take nominal manipulators of RPS legs only, or their packages are not" in done.stdout
 
 
 def test_the_printed_lever_arm_fails_and_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

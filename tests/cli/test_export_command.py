@@ -111,8 +111,8 @@ def test_what_does_not_go_with_a_stage(tmp_path: Path) -> None:
     for arguments, message in (
         (["mjcf", "--ball"], "--ball: expected a single stage"),
         (["sdf", "--stage", file, "--ball"], "error: --ball cannot be used with --format sdf"),
-        (["ros", "--stage", file], "--machine: expected a manipulator, for --format ros, got a stage"),
-        (["ros2", "--machine", file], "--machine: expected a manipulator, for --format ros, got a stage"),
+        (["c", "--stage", file], "--machine: expected a manipulator, for --format c, got a stage"),
+        (["ros2", "--machine", file], "--out: expected the directory to write into, got none"),
         (["c-stage"], "--machine: expected a stage: its file, or --base, --platform and so on, for --format c-stage"),
         (["c-stage", "--base", "80"], "--platform: expected a radius, or --machine with a file"),
     ):

@@ -61,14 +61,16 @@ def test_a_seed_makes_the_same_report(report: Report) -> None:
     assert first.differences == again.differences
     assert first.scores == again.scores
     other = compare_methods(PAPER, poses=10, seed=6, methods=names)
-    assert (other.translation != first.translation).any()
+    assert (other.requests["translation"] != first.requests["translation"]).any()
 
 
 def test_command_of_a_report_solves_its_pose(report: Report) -> None:
     worst = report.worst
     words = shlex.split(report.command(worst.pose))
     numbers = np.array([float(word) for word in words if word[-1].isdigit()])
-    np.testing.assert_array_equal(numbers, [*report.translation[worst.pose], *report.xyx[worst.pose]])
+    np.testing.assert_array_equal(
+        numbers, [*report.requests["translation"][worst.pose], *report.requests["xyx"][worst.pose]]
+    )
     again = spm.inverse_displacement(PAPER, spm.pose(numbers[:3], xyx=np.deg2rad(numbers[3:])))
     assert again[worst.branch].exists
     assert f"{again.count} of 8 branches real" in run(*words[1:]).stdout
@@ -151,7 +153,8 @@ def test_lost_branches_are_found(machine: spm.Manipulator) -> None:
     assert score.missed >= 3
     assert score.invented == 0
     lost = spm.inverse_displacement(
-        machine, spm.pose(found.translation[score.pose], xyx=np.deg2rad(found.xyx[score.pose]))
+        machine,
+        spm.pose(found.requests["translation"][score.pose], xyx=np.deg2rad(found.requests["xyx"][score.pose])),
     )
     assert lost.count > 0
 
@@ -202,8 +205,8 @@ def test_each_batch_reports_all_poses_so_far() -> None:
     machine, names = spm.Manipulator(0.06, 0.04, 0.05), ["closed-form", "paper", "nlp"]
     partial, whole = list(compare_in_batches(machine, poses=16, seed=4, methods=names))
     assert whole.agrees
-    assert (len(partial.xyx), len(whole.xyx), partial.requested) == (10, 16, 16)
-    np.testing.assert_array_equal(partial.xyx, whole.xyx[:10])
+    assert (partial.poses, whole.poses, partial.requested) == (10, 16, 16)
+    np.testing.assert_array_equal(partial.requests["xyx"], whole.requests["xyx"][:10])
     assert [score.solved for score in partial.scores] == [10, 10, 10]
     assert [score.solved for score in whole.scores] == [16, 16, 16]
     # Counts add up, and the largest share of the tolerance never shrinks.
@@ -211,7 +214,9 @@ def test_each_batch_reports_all_poses_so_far() -> None:
     for before, after in zip(partial.differences, whole.differences, strict=True):
         assert after.compared > before.compared
         assert after.ratio >= before.ratio
-    branches = spm.inverse_displacement(machine, spm.pose(whole.translation, xyx=np.deg2rad(whole.xyx)))
+    branches = spm.inverse_displacement(
+        machine, spm.pose(whole.requests["translation"], xyx=np.deg2rad(whole.requests["xyx"]))
+    )
     assert whole.states == branches.count.sum()
     assert whole.scores[0].branches == branches.count.sum()
 

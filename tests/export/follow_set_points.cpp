@@ -17,7 +17,10 @@ int main(int count, char ** arguments)
   const long ticks = std::atol(arguments[1]);
   const bool is_timed = count > 3;
   constexpr double PERIOD = 0.001;
-  const Readings rate = {0.1, 0.2, 0.1, 0.15, 0.1, 0.1}, acceleration = {1.0, 1.5, 0.8, 1.0, 2.0, 1.0};
+  constexpr double RATES[] = {0.1, 0.2, 0.1, 0.15, 0.1, 0.1}, ACCELERATIONS[] = {1.0, 1.5, 0.8, 1.0, 2.0, 1.0};
+  Readings rate{}, acceleration{};
+  std::copy_n(RATES, LEGS, rate.begin());
+  std::copy_n(ACCELERATIONS, LEGS, acceleration.begin());
   std::mt19937_64 random(1);
   std::uniform_real_distribution<double> any(-1.0, 1.0);
   std::normal_distribution<double> normal;
@@ -50,13 +53,13 @@ int main(int count, char ** arguments)
       // Twenty milliseconds apart, or late, or missing for a while.
       next_arrival = tick + (one_in(100) ? 2000 : one_in(20) ? 70 : 20) + static_cast<long>(random() % 3);
       // Poses come from readings: steps at random, now and then a jump or one beyond the limits.
-      for (std::size_t i = 0; i < 6; ++i) {
+      for (std::size_t i = 0; i < LEGS; ++i) {
         const double size = one_in(50) ? 0.3 : 0.004;
         goal[i] = path.serial ? path.at(path.serial).readings[i] + size * normal(random) : start[i];
       }
       // Legs that would be beyond their limits stand at them instead, in some of the set-points.
       bool is_at_stop = false;
-      for (std::size_t i = 0; i < 6 && tick % 4 == 0; ++i) {
+      for (std::size_t i = 0; i < LEGS && tick % 4 == 0; ++i) {
         const double clamped = std::clamp(goal[i], machine.minimum[i], machine.maximum[i]);
         is_at_stop = is_at_stop || clamped != goal[i];
         goal[i] = clamped;
@@ -77,7 +80,7 @@ int main(int count, char ** arguments)
       beyond += is_at_stop && reason.rfind("beyond limits", 0) == 0;
       taken += is_taken;
       refused += !is_taken;
-      for (std::size_t i = 0; i < 6; ++i) {
+      for (std::size_t i = 0; i < LEGS; ++i) {
         wrong += is_taken && !(path.at(path.serial).readings[i] >= machine.minimum[i] && path.at(path.serial).readings[i] <= machine.maximum[i]);
       }
     }
@@ -87,7 +90,7 @@ int main(int count, char ** arguments)
     if (is_timed) {times.push_back(std::chrono::duration<float>(std::chrono::steady_clock::now() - first).count());}
     wrong += allocations != allocated;
     bool is_resting = true;
-    for (std::size_t i = 0; i < 6; ++i) {
+    for (std::size_t i = 0; i < LEGS; ++i) {
       const double speed = (commands[i] - last[i]) / PERIOD, change = (commands[i] - 2.0 * last[i] + before[i]) / (PERIOD * PERIOD);
       constexpr double ROUNDING = 4.0 * 2.3e-16;  // of the readings themselves
       wrong += !(std::fabs(speed) <= rate[i] + ROUNDING / PERIOD);
@@ -96,7 +99,7 @@ int main(int count, char ** arguments)
       is_resting = is_resting && commands[i] == last[i];
     }
     ++(is_resting ? rests : moved);
-    for (std::size_t i = 0; i < 6 && is_resting && path.serial && last == before; ++i) {
+    for (std::size_t i = 0; i < LEGS && is_resting && path.serial && last == before; ++i) {
       off += std::fabs(commands[i] - path.at(path.serial).readings[i]) > 1e-12;
     }
     before = last;

@@ -23,5 +23,5 @@ inline bool read_start(const char * path, spm_geometry & machine, spm_robot::Rea
       }
       return is_whole;
     };
-  return spm_robot::read_machine(machine, next) && next("start", start.data(), 6);
+  return spm_robot::read_machine(machine, next) && next("start", start.data(), start.size());
 }

@@ -38,15 +38,22 @@ SERVOS = spm.Manipulator.of_stages(
 STAND_INS = Path(__file__).parent / "stand_ins"
 
 
-def run_cpp(package: Path, source: Path, folder: Path, *arguments: object) -> str:
-    """Compile a program around the package's sources, and run it."""
+def run_cpp(package: Path, source: Path, folder: Path, *arguments: object, names: dict[str, str] | None = None) -> str:
+    """Compile a program around the package's sources, with other names in place of the robot's, and run it."""
     compiler = shutil.which("g++") or shutil.which("clang++")
     if compiler is None:
         pytest.skip("no C++ compiler: neither g++ nor clang++")
     sources, kinematics = package / "src", package.parent / "kinematics.o"
     if not kinematics.exists():
-        compile_c(compilers()[0], *STRICT, "-O2", "-c", sources / "spm_kinematics.c", "-o", kinematics)
-    include = ("-I", sources, "-I", STAND_INS / "ros2_control")
+        (source_in_c,) = sources.glob("*_kinematics.c")
+        compile_c(compilers()[0], *STRICT, "-O2", "-c", source_in_c, "-o", kinematics)
+    include = (
+        *(f"-D{name}={other}" for name, other in (names or {}).items()),
+        "-I",
+        sources,
+        "-I",
+        STAND_INS / "ros2_control",
+    )
     flags = ("-std=c++17", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O2")
     compile_c(compiler, *flags, *include, source, kinematics, "-lm", "-o", folder / "program")
     done = subprocess.run([folder / "program", *map(str, arguments)], capture_output=True, text=True, check=False)
@@ -175,7 +182,9 @@ def test_the_controller_for_ros2_control_follows_set_points_and_refuses_bad_ones
     state = spm.forward_physical(machine, start + 0.2 * (near.readings - start))
     values = [*start, *state.translation, *state.pose.rotation.as_quat(), *state.readings]
     np.savetxt(tmp_path / "pose.txt", [values])
-    run_cpp(package, STAND_INS / "ros2_control/drive.cpp", tmp_path, tmp_path / "parameters.txt", tmp_path / "pose.txt")
+    files = tmp_path / "parameters.txt", tmp_path / "pose.txt"
+    too_high = "beyond limits: leg_b1_" if kind == "package" else "unreachable"
+    run_cpp(package, STAND_INS / "ros2_control/drive.cpp", tmp_path, *files, too_high)
 
 
 @BOTH
@@ -258,13 +267,8 @@ def test_the_hardware_of_the_description_has_the_joints_of_the_controller(packag
         subprocess.run(["check_urdf", package / "urdf/spm.urdf"], check=True, capture_output=True)
 
 
-def test_the_node_publishes_the_joints_of_the_readings_and_the_launch_file_starts_it(
-    package: Path, tmp_path: Path
-) -> None:
-    library = tmp_path / "libspm_robot_kinematics.so"
-    compile_c(compilers()[0], "-O1", "-fPIC", "-shared", package / "src/spm_kinematics.c", "-lm", "-o", library)
-
-    parameters = parameters_of(package)
+def run_scripts(package: Path, library: Path, parameters: dict[str, Any]) -> tuple[Any, ...]:
+    """Return the node of the package, its class, and the arguments and nodes of the launch file, without ROS."""
 
     class Node:
         create_publisher, create_subscription, get_logger, get_clock = (MagicMock() for _ in range(4))
@@ -298,7 +302,17 @@ def test_the_node_publishes_the_joints_of_the_readings_and_the_launch_file_start
             patch.setitem(sys.modules, name, content)
         joint_states = runpy.run_path(str(package / "scripts/joint_states.py"))["JointStates"]
         node = joint_states(library)
-        *arguments, opaque = runpy.run_path(str(package / "launch/robot.launch.py"))["generate_launch_description"]()
+        launched = runpy.run_path(str(package / "launch/robot.launch.py"))["generate_launch_description"]()
+    return node, joint_states, launched
+
+
+def test_the_node_publishes_the_joints_of_the_readings_and_the_launch_file_starts_it(
+    package: Path, tmp_path: Path
+) -> None:
+    library = tmp_path / "libspm_robot_kinematics.so"
+    compile_c(compilers()[0], "-O1", "-fPIC", "-shared", package / "src/spm_kinematics.c", "-lm", "-o", library)
+    parameters = parameters_of(package)
+    node, joint_states, (*arguments, opaque) = run_scripts(package, library, parameters)
     (topic, complete) = node.create_subscription.call_args.args[1:3]
     assert topic == "leg_states"
     machine, now = spm.Manipulator.from_yaml(package.parent / "machine.yaml"), object()

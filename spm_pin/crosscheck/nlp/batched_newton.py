@@ -5,7 +5,8 @@ solve. CasADi's own linear solvers end a whole mapped call where one matrix is s
 
 The equations are quadratic, F(b + h) = F(b) + J h + Q(h) with |Q(h)| <= q |h|² and q = 3/2 (1/a + Σ|γ_i|), because
 Σ|h_i - h_j|² <= 3 |h|². Here a is the shortest side of the triangle of the b_i, and γ_i (b_2 - b_1) x (b_3 - b_1) is
-how far the ball of upper leg i is out of its plane, zero in a nominal machine, where q = 3/(2d). With s the smallest
+how far the ball of upper leg i, or the origin of a stage's platform, is out of its plane, zero in a nominal machine,
+where q = 3/(2d). With s the smallest
 singular value of J this gives, without any approximation:
 
 - from |F| <= δ and s² > 4 q δ: a solution exists within 2δ/(s + √(s² - 4qδ)) (Kantorovich);
@@ -22,8 +23,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from spm_pin.crosscheck.ball_states import is_stage
 from spm_pin.crosscheck.nlp import loop_equations
-from spm_pin.machine.manipulator import Manipulator
+from spm_pin.machine.machine import Machine
 from spm_pin.support.arguments import BoolArray, FloatArray
 
 _EPS = float(np.finfo(np.float64).eps)
@@ -36,10 +38,9 @@ _LOST = 1e6
 class LoopEquations:
     """The loop equations of one machine, evaluated for many points at once without copies."""
 
-    def __init__(self, machine: Manipulator) -> None:
+    def __init__(self, machine: Machine) -> None:
         self.machine = machine
-        weights = machine.legs.upper_ball_weights
-        self.curvature = 1.5 * float(1.0 / machine.legs.sides.min() + np.abs(weights[:, 2]).sum())
+        self.curvature = loop_equations.curvature(machine)
         """The bound q of the equations' quadratic part [1/m]."""
         self._function = loop_equations.closure(machine)
         self._mapped: dict[int, ca.Function] = {}
@@ -65,20 +66,31 @@ class LoopEquations:
         evaluate()
         return residual[: len(b)], np.swapaxes(jacobian[: len(b)], -1, -2)
 
+    def are_upright(self, b: FloatArray, matrix: FloatArray) -> BoolArray:
+        """Return at which points b (n, 9) a stage's platform has the normal of a pose (4, 4), not the opposite one.
+
+        Its mirror image solves the equations too; where all six legs are, orientation follows from them.
+        """
+        if not is_stage(self.machine):
+            return np.ones(len(b), dtype=bool)
+        with np.errstate(invalid="ignore", over="ignore"):
+            normals = np.cross(b[:, 3:6] - b[:, :3], b[:, 6:] - b[:, :3])
+            return np.asarray(normals @ matrix[:3, 2] > 0.0)
+
     def rounding(self, b: FloatArray, matrix: FloatArray) -> FloatArray:
         """Return the residual [m] that rounding alone leaves at points b (n, 9)."""
-        reach = np.linalg.norm(matrix[:3, 3]) + self.machine.platform_radius + self.machine.middle_side
+        reach = np.linalg.norm(matrix[:3, 3]) + self.machine.stage_radii[-1][0] + self.machine.ball_side
         return np.asarray(ROUNDING * (reach + np.abs(b).max(axis=-1)))
 
 
 def newton(
     equations: LoopEquations, starts: FloatArray, matrix: FloatArray, iterations: int
 ) -> tuple[FloatArray, BoolArray]:
-    """Return the ends (n, 9) [m] of Newton's method from starts for a pose (4, 4), and whether all equations hold."""
+    """Return the ends (n, 9) [m] of Newton's method from starts for a pose (4, 4), and which are solutions."""
     b = starts.copy()
     converged = np.zeros(len(b), dtype=bool)
     active = np.arange(len(b))
-    far = _LOST * (equations.machine.middle_side + float(np.linalg.norm(matrix[:3, 3])))
+    far = _LOST * (equations.machine.ball_side + float(np.linalg.norm(matrix[:3, 3])))
     for step in range(iterations + 1):
         residual, jacobian = equations(b[active], matrix)
         done = np.abs(residual).max(axis=-1) <= equations.rounding(b[active], matrix)
@@ -92,7 +104,7 @@ def newton(
         active = active[kept]
         if not active.size:
             break
-    return b, converged
+    return b, converged & equations.are_upright(b, matrix)
 
 
 def _solve(jacobian: FloatArray, residual: FloatArray) -> FloatArray:

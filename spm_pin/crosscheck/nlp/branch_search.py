@@ -1,8 +1,8 @@
 """Inverse displacement by multi-start: branches from random starts, each certified.
 
-A start is a middle platform of the right size in a random orientation, placed where it violates the six leg planes
-least. Orientations are uniform on SO(3), which is compact, and every solution is itself such a start: every branch has
-a neighbourhood of starts that lead to it, and no box has to be chosen to search in.
+A start is a middle platform of the right size in a random orientation, placed where it violates the leg planes least.
+Orientations are uniform on SO(3), which is compact, and every solution is itself such a start: every branch has a
+neighbourhood of starts that lead to it, and no box has to be chosen to search in.
 
 Newton's method is the default solver: the loop equations of a pose are a square system without an objective, on which
 IPOPT takes Newton steps too, at some eighty times the cost per start. IPOPT is a second method: its line search and
@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import casadi as ca
@@ -21,11 +21,13 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from spm_pin.crosscheck.ball_states import is_stage, states_with_balls
 from spm_pin.crosscheck.nlp import loop_equations
 from spm_pin.crosscheck.nlp.batched_newton import LoopEquations, RootCertificate, certify_root, newton
 from spm_pin.errors import ArgumentError
-from spm_pin.machine import Configuration, Manipulator, PoseLike, SolutionSet, Status, as_rigid_transform
-from spm_pin.machine.manipulator import check_manipulator
+from spm_pin.machine import PoseLike, SolutionSet, Status, as_rigid_transform
+from spm_pin.machine.machine import Machine, check_machine
+from spm_pin.machine.stage_configuration import StageSolutions
 from spm_pin.support.arguments import (
     BoolArray,
     FloatArray,
@@ -42,7 +44,7 @@ STARTS = 512
 MOST_BRANCHES = 8
 """Largest number of branches of a pose: the degree of Eq. (19)."""
 NUMBERS = tuple("12345678")
-"""Labels of the branches of a calibrated machine."""
+"""Labels of the branches of a calibrated machine; a stage has two."""
 
 _ITERATIONS = 60
 """Steps of Newton's method from each start at most."""
@@ -62,8 +64,8 @@ _UNUSABLE = ("Invalid_Option", "Invalid_Problem_Definition", "Insufficient_Memor
 class Search:
     """Branches found by a multi-start, and what is proved about them; arrays over the batch of poses (...)."""
 
-    solutions: SolutionSet
-    """The branches: of a nominal machine under the canonical labels; of a calibrated one a set, numbered from 1 to 8.
+    solutions: SolutionSet | StageSolutions
+    """The branches: of a nominal manipulator under the canonical labels; otherwise a set, numbered from 1.
     `Status.UNREACHABLE` where none was found and `infeasibility` is not rounding; `Status.UNSOLVED` where the search
     failed."""
     hits: IntArray
@@ -80,7 +82,7 @@ class Search:
 
 
 def search(
-    machine: Manipulator,
+    machine: Machine,
     pose: PoseLike,
     *,
     starts: int = STARTS,
@@ -92,10 +94,11 @@ def search(
 
     Parameters
     ----------
-    machine : Manipulator
-        The manipulator, nominal or calibrated; its leg limits are not applied.
+    machine : Manipulator or Stage
+        The machine, nominal or calibrated; its leg limits are not applied.
     pose : RigidTransform, array_like (..., 4, 4), or object with `.rotation` and `.translation`
-        Pose of {m} in {B}, translation in metres; one, or a batch of shape (...).
+        Pose of {m} in {B}, translation in metres; one, or a batch of shape (...). For a stage only the height and the
+        normal are used.
     starts : int
         Starts per pose.
     seed : int
@@ -111,7 +114,7 @@ def search(
     is tested against certified counts of branches, 200 poses in leg space and 50 on all of SO(3) with ten seeds each.
     In calibrated machines none was missed in 4680 searches, with errors of 0.1, 1 and 3 mm, and as many mrad.
     """
-    check_manipulator(machine)
+    check_machine(machine)
     starts = whole_number(starts, "starts", "a positive whole number", least=1)
     seed = whole_number(seed, "seed", "a whole number, not negative", most=1 << 128)
     choice(solver, "solver", SOLVERS)
@@ -137,7 +140,7 @@ class IpoptSolver:
     Options that IPOPT or CasADi refuses raise `ArgumentError`, some of them only when the solver is called.
     """
 
-    def __init__(self, machine: Manipulator, options: Mapping[str, Any] | None = None) -> None:
+    def __init__(self, machine: Machine, options: Mapping[str, Any] | None = None) -> None:
         b, pose = ca.SX.sym("b", 9), ca.SX.sym("pose", 12)
         residual = loop_equations.equations(machine, b, ca.reshape(pose[:9], 3, 3), pose[9:])
         self._options = dict(options or {})
@@ -238,7 +241,7 @@ class Multistart:
         return Status.UNREACHABLE if self.infeasibility > 3.0 * rounding else Status.UNSOLVED
 
 
-def random_starts(machine: Manipulator, matrix: FloatArray, count: int, rng: np.random.Generator) -> FloatArray:
+def random_starts(machine: Machine, matrix: FloatArray, count: int, rng: np.random.Generator) -> FloatArray:
     """Draw starts b (count, 9) [m] for a pose (4, 4)."""
     legs, rotation = machine.legs, matrix[:3, :3].T
     axes = np.concatenate([legs.axes[:3], legs.axes[3:] @ rotation])
@@ -253,7 +256,7 @@ def random_starts(machine: Manipulator, matrix: FloatArray, count: int, rng: np.
 loop_equations_of = functools.lru_cache(maxsize=32)(LoopEquations)
 
 
-def _collect(machine: Manipulator, transform: Any, runs: list[Multistart]) -> Search:
+def _collect(machine: Any, transform: Any, runs: list[Multistart]) -> Search:
     """Gather the searches of all poses into arrays of the batch's shape."""
     shape = transform.shape
     joints = np.full((len(runs), MOST_BRANCHES, 9), np.nan)
@@ -266,29 +269,37 @@ def _collect(machine: Manipulator, transform: Any, runs: list[Multistart]) -> Se
             joints[n, place] = run.certificates[k].b
     by_place, status = joints.reshape(*shape, MOST_BRANCHES, 3, 3), status.reshape(shape)
     # The equations do not know how far the legs reach.
-    readings = Configuration(machine, transform.as_matrix()[..., None, :, :], by_place).readings
+    matrices = transform.as_matrix()[..., None, :, :]
+    readings = states_with_balls(machine, matrices, by_place).readings
     by_place[~np.isfinite(readings).all(axis=-1)] = np.nan
     is_lost = (status == Status.OK) & np.isnan(by_place[..., 0, 0]).all(axis=-1)
     status = np.where(is_lost, Status.UNREACHABLE, status)
-    if machine.is_nominal:
+    ordered: SolutionSet | StageSolutions
+    if machine.is_nominal and not is_stage(machine):
         ordered = SolutionSet.from_unordered(machine, transform, by_place, status != Status.UNSOLVED)
         status = np.where(status == Status.DEGENERATE, status, ordered.status)
+        branches = ordered.middle_joints
     else:
-        states = Configuration(machine, transform.as_matrix()[..., None, :, :], by_place)
-        ordered = SolutionSet(states, NUMBERS, status)
-    branches = ordered.middle_joints.reshape(joints.shape)
+        kind: Any = StageSolutions if is_stage(machine) else SolutionSet
+        most = 2 if is_stage(machine) else MOST_BRANCHES
+        absent = np.isnan(by_place[..., 0, 0])
+        status = np.where((~absent).sum(axis=-1) > most, Status.UNSOLVED, status)
+        order = np.argsort(absent, axis=-1, kind="stable")[..., :most, None, None]
+        branches = np.take_along_axis(by_place, order, axis=-3)
+        ordered = kind(states_with_balls(machine, matrices, branches), NUMBERS[:most], status)
     # Hits, sigma, error and isolation of each branch.
-    facts = np.full((4, len(runs), MOST_BRANCHES), np.nan)
+    flat = branches.reshape(len(runs), branches.shape[-3], 9)
+    facts = np.full((4, *flat.shape[:2]), np.nan)
     facts[[0, 3]] = 0.0
     for n, run in enumerate(runs):
         for k in run.kept:
             root = run.certificates[k]
-            facts[:, n, (branches[n] == root.b).all(axis=-1)] = np.array(
+            facts[:, n, (flat[n] == root.b).all(axis=-1)] = np.array(
                 [run.hits[k], root.sigma, root.error, root.isolated]
             )[:, None]
-    hits, sigma, error, isolated = facts.reshape(4, *shape, MOST_BRANCHES)
+    hits, sigma, error, isolated = facts.reshape(4, *shape, flat.shape[1])
     return Search(
-        solutions=SolutionSet(ordered.configurations, ordered.labels, status),
+        solutions=replace(ordered, status=status),
         hits=hits.astype(int),
         sigma=sigma,
         error_bound=error,

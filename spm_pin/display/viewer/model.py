@@ -259,7 +259,7 @@ class ViewerModel:
         values = values if digits is None else values.round(digits)
         is_paper = self.state.shown.machine == Manipulator.paper()
         file = "FILE" if self.file is None and not is_paper else self.file
-        return inverse_command(values[:3], values[3:], None if file is None else str(file))
+        return inverse_command({"translation": values[:3], "xyx": values[3:]}, None if file is None else str(file))
 
     def values(self) -> FloatArray:
         """Return q of the state shown, in Pinocchio's order [rad, m]."""

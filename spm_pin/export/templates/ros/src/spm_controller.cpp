@@ -1,4 +1,4 @@
-// A ros2_control controller for a {{title}}: stamped poses of the platform become commands of six joints,
+// A ros2_control controller for a {{title}}: stamped poses of the platform become commands of its joints,
 // within limits of rate and acceleration. Poses are solved where they arrive. What runs in the control loop, `update`,
 // `on_activate` and `on_deactivate`, waits for nothing.
 //
@@ -80,18 +80,18 @@ public:
     set_points_.frame = get_node()->get_parameter("frame_id").as_string();
     set_points_.timeout = get_node()->get_parameter("timeout").as_double();
     Readings & step = set_points_.largest_step;
-    const bool are_whole = read("zeros", zeros_.data(), 6) && read("max_step", step.data(), 6) &&
-      read("max_velocity", rate.data(), 6) && read("max_acceleration", acceleration.data(), 6) &&
+    const bool are_whole = read("zeros", zeros_.data(), LEGS) && read("max_step", step.data(), LEGS) &&
+      read("max_velocity", rate.data(), LEGS) && read("max_acceleration", acceleration.data(), LEGS) &&
       read_machine(set_points_.machine, [this](const std::string & name, double * numbers, std::size_t count) {
           return read("machine." + name, numbers, count);
         });
     const auto is_positive = [](double x) {return x > 0.0 && std::isfinite(x);};
     const auto are_positive = [&](const Readings & x) {return std::all_of(x.begin(), x.end(), is_positive);};
-    if (!are_whole || set_points_.joints.size() != 6 || get_update_rate() == 0 || !is_positive(set_points_.timeout) ||
+    if (!are_whole || set_points_.joints.size() != LEGS || get_update_rate() == 0 || !is_positive(set_points_.timeout) ||
       !are_positive(step) || !are_positive(rate) || !are_positive(acceleration))
     {
       RCLCPP_ERROR(
-        get_node()->get_logger(), "expected a rate of updates, six joints, and a positive max_step, timeout, max_velocity and "
+        get_node()->get_logger(), "expected a rate of updates, {{zeros|length}} joints, and a positive max_step, timeout, max_velocity and "
         "max_acceleration: is config/spm_controller.yaml given?");
       return controller_interface::CallbackReturn::FAILURE;
     }
@@ -104,7 +104,7 @@ public:
     state_publisher_ = std::make_unique<realtime_tools::RealtimePublisher<State>>(
       get_node()->create_publisher<State>("~/controller_state", rclcpp::SystemDefaultsQoS()));
     state_.joint_names = set_points_.joints;
-    for (auto * point : {&state_.reference, &state_.feedback, &state_.error, &state_.output}) {point->positions.resize(6);}
+    for (auto * point : {&state_.reference, &state_.feedback, &state_.error, &state_.output}) {point->positions.resize(LEGS);}
     return controller_interface::CallbackReturn::SUCCESS;
   }
 
@@ -113,7 +113,7 @@ public:
     // A set-point of before is not followed: the machine stays where it is.
     activation_ = 0;
     Readings readings{};
-    for (std::size_t i = 0; i < 6; ++i) {start_[i] = readings[i] = measured(i) + zeros_[i];}
+    for (std::size_t i = 0; i < LEGS; ++i) {start_[i] = readings[i] = measured(i) + zeros_[i];}
     {{prefix}}state state{};
     const int status = {{prefix}}forward(&set_points_.machine, readings.data(), nullptr, &state);
     if (status != {{PREFIX}}OK) {
@@ -142,7 +142,7 @@ public:
   {
     const Readings commands = limiter_.tick(*for_update_.readFromRT());
     reached_ = limiter_.serial();
-    for (std::size_t i = 0; i < 6; ++i) {
+    for (std::size_t i = 0; i < LEGS; ++i) {
       const double command = commands[i] - zeros_[i], feedback = measured(i);
       (void)command_interfaces_[i].set_value(command);
       state_.reference.positions[i] = state_.output.positions[i] = command;
@@ -168,7 +168,7 @@ private:
   // Between the control loop and the subscription. Targets are numbered on from `activation_`; it is zero while the controller
   // is not active, and only then the readings of the start are written.
   std::atomic<std::uint64_t> activation_{0};
-  std::array<std::atomic<double>, 6> start_{};
+  std::array<std::atomic<double>, LEGS> start_{};
   std::atomic<std::uint64_t> reached_{0};  // the number of the target to which the legs move
   realtime_tools::RealtimeBuffer<Path> for_update_;
 

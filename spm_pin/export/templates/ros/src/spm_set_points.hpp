@@ -19,7 +19,8 @@
 namespace {{package}}
 {
 
-using Readings = std::array<double, 6>;  // what the encoders show: metres, of cranks radians
+constexpr std::size_t LEGS = {{zeros|length}};
+using Readings = std::array<double, LEGS>;  // what the encoders show: metres, of cranks radians
 constexpr double UNITS = 1099511627776.0;  // to a metre or a radian: readings are counted in them
 
 // Read the members of a machine by their names with `read(name, numbers, count)`; returns whether it could read all.
@@ -54,7 +55,7 @@ struct Path
   const Target & at(std::uint64_t number) const {return targets[number % SIZE];}
 };
 
-// A stamped pose of {m}, seen from a frame.
+// A stamped pose of the platform, seen from a frame{{requested}}.
 struct SetPoint
 {
   std::string frame;
@@ -69,7 +70,7 @@ class SetPoints
 {
 public:
   std::string frame;
-  std::vector<std::string> joints = std::vector<std::string>(6);
+  std::vector<std::string> joints = std::vector<std::string>(LEGS);
   Readings largest_step{};  // of each reading, from the last set-point taken
   double timeout = 0.0;     // the largest age of a set-point that arrives [s]
   double period = 0.0;      // of the control loop [s]
@@ -108,7 +109,7 @@ public:
     if (status != {{PREFIX}}OK) {return {{prefix}}status_name(status);}
     const int beyond = {{prefix}}beyond_limits(&machine, next.readings);
     if (beyond != 0) {return "beyond limits: " + joints[beyond - 1];}
-    for (std::size_t i = 0; i < 6; ++i) {
+    for (std::size_t i = 0; i < LEGS; ++i) {
       // As the Limiter counts: a leg at its end stop may be beyond it by rounding.
       const double reading = std::clamp(next.readings[i], machine.minimum[i] + 1.0 / UNITS, machine.maximum[i] - 1.0 / UNITS);
       next.readings[i] = reading;
@@ -121,7 +122,7 @@ public:
     }
     state_ = next;
     Target & target = path.at(++path.serial);
-    std::copy_n(next.readings, 6, target.readings.begin());
+    std::copy_n(next.readings, LEGS, target.readings.begin());
     target.ticks = stamp - last_stamp_ <= timeout ? std::llround((stamp - last_stamp_) / period) : 1;
     last_stamp_ = stamp;
     return "";
@@ -136,11 +137,11 @@ private:
   {
     double error = 0.0;
     for (std::size_t i = 0; i < 9; ++i) {error = std::max(error, std::fabs(a.joints[i] - b.joints[i]));}
-    return error <= 1e-6 * machine.dimensions[2];
+    return error <= 1e-6 * {{side}};
   }
 };
 
-// Leads six readings along a path, from target to target, within limits of rate and acceleration. Between two targets, a way
+// Leads readings along a path, from target to target, within limits of rate and acceleration. Between two targets, a way
 // that is checked to be regular, the readings change in proportion: linearly in the time between the set-points, faster where
 // further ones wait, and longer where a leg would be too fast. The commands are the means of the last ticks, in number such that
 // twice the largest rate is gained in them at the largest acceleration. A mean of readings within limits is within them, is
@@ -154,7 +155,7 @@ public:
   void configure(const Readings & rate, const Readings & acceleration, double period)
   {
     double ticks = 1.0;
-    for (std::size_t i = 0; i < 6; ++i) {
+    for (std::size_t i = 0; i < LEGS; ++i) {
       step_[i] = rate[i] * period * UNITS - 1.0;  // one unit less, for rounding
       ticks = std::max(ticks, std::ceil(2.0 * rate[i] / (acceleration[i] * period)));
     }
@@ -164,7 +165,7 @@ public:
   // Stay at readings, until a target comes with a larger number than this.
   void begin(const Readings & readings, std::uint64_t serial)
   {
-    for (std::size_t i = 0; i < 6; ++i) {
+    for (std::size_t i = 0; i < LEGS; ++i) {
       from_[i] = to_[i] = now_[i] = std::llround(readings[i] * UNITS);
       sum_[i] = now_[i] * static_cast<std::int64_t>(past_.size());
     }
@@ -185,7 +186,7 @@ public:
       tick_ = 0;
       ticks_ = std::max<std::int64_t>(target.ticks / (1 + waiting), 1);
       from_ = now_;
-      for (std::size_t i = 0; i < 6; ++i) {
+      for (std::size_t i = 0; i < LEGS; ++i) {
         to_[i] = std::llround(target.readings[i] * UNITS);
         const double least = std::ceil(static_cast<double>(std::llabs(to_[i] - from_[i])) / step_[i]);
         ticks_ = std::max(ticks_, static_cast<std::int64_t>(least));
@@ -195,7 +196,7 @@ public:
     const double share = ticks_ > 0 ? static_cast<double>(tick_) / static_cast<double>(ticks_) : 1.0;
     next_ = next_ + 1 < past_.size() ? next_ + 1 : 0;
     Readings commands{};
-    for (std::size_t i = 0; i < 6; ++i) {
+    for (std::size_t i = 0; i < LEGS; ++i) {
       now_[i] = from_[i] + std::llround(share * static_cast<double>(to_[i] - from_[i]));
       sum_[i] += now_[i] - past_[next_][i];
       past_[next_][i] = now_[i];
@@ -205,7 +206,7 @@ public:
   }
 
 private:
-  using Counts = std::array<std::int64_t, 6>;
+  using Counts = std::array<std::int64_t, LEGS>;
 
   Readings step_{};                       // the most in a tick
   Counts from_{}, to_{}, now_{}, sum_{};  // the way to the target, and the sum of `past_`

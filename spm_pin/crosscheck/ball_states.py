@@ -1,0 +1,49 @@
+"""States for a request and the balls that a method found, and by how much they violate the loops and the request.
+
+A request is a pose. A manipulator takes the whole pose, a stage its height and its normal: the rest follows.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from spm_pin.machine import Configuration
+from spm_pin.machine.legs import triangle_frames
+from spm_pin.machine.machine import Machine
+from spm_pin.machine.stage_configuration import StageConfiguration
+from spm_pin.support.arguments import FloatArray
+
+
+def is_stage(machine: Any) -> bool:
+    """Return whether a machine is one stage: it is requested a height and a tilt."""
+    return len(machine.legs.kinds) == 1
+
+
+def freedoms(machine: Machine) -> slice:
+    """Return the rows of a twist (v, ω) that are the freedoms of a machine: v_z, ω_x and ω_y of a stage."""
+    return slice(2, 5) if is_stage(machine) else slice(None)
+
+
+def states_with_balls(machine: Any, poses: FloatArray, balls: FloatArray) -> Any:
+    """Return the states (...) for requests (..., 4, 4) with the lower legs' balls (..., 3, 3); NaN for a missing one.
+
+    The platform of a stage is where its balls are.
+    """
+    poses = np.broadcast_to(poses, (*balls.shape[:-2], 4, 4))
+    if not is_stage(machine):
+        return Configuration.from_arrays(machine, poses[..., :3, :3], poses[..., :3, 3], balls)
+    own = machine.legs.balls
+    rotation = triangle_frames(balls) @ triangle_frames(own).T
+    return StageConfiguration.from_arrays(machine, rotation, balls.mean(axis=-2) - rotation @ own.mean(axis=0))
+
+
+def closure_residuals(states: Any, poses: FloatArray, balls: FloatArray) -> FloatArray:
+    """Return the largest violation of the loop equations and of the request [m], (...), for `states_with_balls`."""
+    residual = np.asarray(states.closure_residual)
+    if not is_stage(states.machine):
+        return residual
+    turn = states.machine.ball_side * np.linalg.norm(states.normal - poses[..., :3, 2], axis=-1)
+    apart = np.abs(states.balls - balls).max(axis=(-1, -2))
+    return np.asarray(np.max([residual, turn, np.abs(states.height - poses[..., 2, 3]), apart], axis=0))
