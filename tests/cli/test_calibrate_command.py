@@ -171,24 +171,6 @@ def test_a_stage_is_identified_and_written(balancer: tuple[spm.Stage, Path], tmp
     np.testing.assert_allclose(frames["base"], np.eye(4), atol=1e-3)
 
 
-def test_what_a_stage_is_identified_from_is_checked(balancer: tuple[spm.Stage, Path], tmp_path: Path) -> None:
-    _, file = balancer
-    wrong = tmp_path / "wrong.csv"
-    wrong.write_text(file.read_text(encoding="utf-8").replace("roll,pitch", "pitch,roll"), encoding="utf-8")
-    done = run("stage", "calibrate", wrong, *NUMBERS, "--identify", "offset")
-    assert done.returncode == 1
-    assert "roll and pitch along other axes. As pitch, roll they agree" in done.message
-    done = run("stage", "calibrate", file, "--identify", "offset")
-    assert done.returncode == 2
-    assert "--base: expected a radius, or --machine with a file" in done.message
-    assert "expected real numbers of shape (..., 6)" in run("calibrate", file).message
-    for tolerance, words in (("offset=x", "such as offset=0.05"), ("knee=0.1", "knee"), ("offset=-1", "not negative")):
-        done = run("stage", "calibrate", file, *NUMBERS, "--tolerance", tolerance)
-        assert done.returncode == 2
-        assert "--tolerance" in done.message
-        assert words in done.message
-
-
 def test_tolerances_of_some_dimensions_hold_them(balancer: tuple[spm.Stage, Path]) -> None:
     built, file = balancer
     typed = "--tolerance", "1e-6", "--tolerance", "offset=0.05"

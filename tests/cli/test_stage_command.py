@@ -136,13 +136,6 @@ def test_a_tilt_towards_x_of_a_picture_and_of_readings(place: list[str], tmp_pat
     np.testing.assert_allclose(mode["readings"], np.degrees(expected.readings), atol=1e-6)
 
 
-def test_a_platform_that_hangs_below_its_carriages_is_drawn(tmp_path: Path) -> None:
-    hanging = ["--base", "350", "--platform", "200", "--rod", "400", "--sign", "1", "--unit", "mm"]
-    done = run("stage", "draw", *hanging, "--tilt", "12", "--out", str(tmp_path / "stage.svg"))
-    assert done.returncode == 0, done.message
-    assert "height -370.8 mm" in (tmp_path / "stage.svg").read_text(encoding="utf-8")
-
-
 @pytest.mark.parametrize("command", [["view", "--no-open"], ["draw", "--out", "no.png"]])
 def test_a_picture_of_what_is_not_reached_is_refused_with_the_nearest(command: list[str]) -> None:
     done = run("stage", command[0], *SIZES, "--tilt", "80", *command[1:])
