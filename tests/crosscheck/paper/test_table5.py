@@ -71,13 +71,6 @@ def test_which_mistakes_a_row_needs(solution_3, row, made):
     assert hits == [names >= NEEDED[row]] * 3 + [names >= upper] * 2
 
 
-def test_printed_load_is_the_default():
-    F, T = load()
-    assert F.tolist() == [-20e3, -30e3, -30e3]
-    assert T.tolist() == [-300.0, -300.0, 1000.0]
-    assert np.any(load(Table5Mistakes(other_load=True)) != np.stack([F, T]))
-
-
 def test_switches_touch_what_they_name(solution_3):
     arm, entry = Table5Mistakes(printed_lever_arm=True), Table5Mistakes(missing_entry=True)
     changed = J_lambda(solution_3, arm) != J_lambda(solution_3)
