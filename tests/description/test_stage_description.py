@@ -41,10 +41,9 @@ Array = np.ndarray
 LIMITS = {"RRS": (-0.6, 1.2), "RRS inwards": (1.6, 3.0), "RPS": (0.8, 1.4), "PRS hanging": (0.6, 1.0)}
 DRAWN = {name: spm.Stage(*stage.stage_radii[0], stage.kind, LIMITS.get(name)) for name, stage in STAGES.items()}
 DRAWN["PRS below its pivots"] = STAGES["PRS hanging"]
-BUILT = "RPS", "PRS inclined", "RRS"
-MACHINES = {name: (name, False) for name in DRAWN if name != "PRS"} | {
-    f"{name} as built": (name, True) for name in BUILT
-}
+KINDS = "RPS", "PRS inclined", "RRS"
+MACHINES = {name: (name, False) for name in (*KINDS, "PRS below its pivots", "RRS inwards")}
+MACHINES |= {f"{name} as built": (name, True) for name in KINDS}
 BALANCER = DRAWN["RRS"]
 
 
@@ -98,9 +97,8 @@ def test_a_batch_has_the_joint_angles_of_its_members_and_of_the_lower_stage_of_a
         np.testing.assert_allclose(getattr(angles, name), getattr(both, name)[..., :3], atol=1e-14, err_msg=name)
 
 
-@pytest.mark.parametrize("machine", ["RRS", "PRS inclined as built"])
-def test_the_xacro_command_gives_the_same_tree(machine: str, tmp_path: Path) -> None:
-    stage, _ = stage_and_states(machine)
+def test_the_xacro_command_gives_the_same_tree(tmp_path: Path) -> None:
+    stage, _ = stage_and_states("PRS inclined as built")
     stage.to_yaml(tmp_path / "mine.yaml")
     source = description_directory() / "stage.urdf.xacro"
     command = [str(Path(sysconfig.get_path("scripts")) / "xacro"), str(source), f"stage:={tmp_path / 'mine.yaml'}"]
@@ -124,8 +122,10 @@ def test_the_file_that_comes_with_the_sources_is_a_stage_and_numbers_left_out_ar
     )
 
 
-@pytest.mark.parametrize("engine", [Pinocchio, Mujoco, Drake])
-@pytest.mark.parametrize(("suffix", "machine"), [("urdf", "RRS"), ("xml", "PRS inclined")])
+@pytest.mark.parametrize(
+    ("engine", "suffix", "machine"),
+    [(Pinocchio, "urdf", "RRS"), (Mujoco, "urdf", "RRS"), (Drake, "xml", "PRS inclined")],
+)
 def test_loops_hold_in_other_engines(engine: type, suffix: str, machine: str, tmp_path: Path) -> None:
     pytest.importorskip({Pinocchio: "pinocchio", Mujoco: "mujoco", Drake: "pydrake"}[engine])
     stage, states = stage_and_states(machine)
@@ -150,7 +150,7 @@ def test_loops_hold_in_other_engines(engine: type, suffix: str, machine: str, tm
         assert robot.plant.num_actuators() == 3
 
 
-@pytest.mark.parametrize("machine", ["RRS", "RRS as built", "RPS", "PRS inclined as built"])
+@pytest.mark.parametrize("machine", ["RRS as built", "PRS inclined as built", "RPS"])
 def test_servos_in_mujoco_lead_the_platform_where_the_closed_form_has_it(machine: str) -> None:
     """MuJoCo settles by its own dynamics; what its servos then read gives the pose of its platform in closed form."""
     stage, states = stage_and_states(machine)
@@ -177,7 +177,7 @@ def test_servos_in_mujoco_lead_the_platform_where_the_closed_form_has_it(machine
     assert opened < 1e-4 * stage.size
 
 
-@pytest.mark.parametrize(("sign", "limits"), [(1, (-0.8, -0.5)), (1, (0.1, 0.4)), (-1, (-0.8, -0.5))])
+@pytest.mark.parametrize(("sign", "limits"), [(1, (0.1, 0.4)), (-1, (-0.8, -0.5))])
 def test_the_keyframe_home_of_a_stage_below_its_pivots_is_the_middle_of_its_limits(
     sign: int, limits: tuple[float, float]
 ) -> None:
@@ -211,13 +211,7 @@ def test_servos_have_the_limits_of_the_stage() -> None:
 
 @pytest.mark.parametrize(
     "stage",
-    [
-        BALANCER,
-        spm.Stage(0.08, 0.09, spm.RRS(crank=0.02, rod=0.11)),
-        DRAWN["PRS inclined"],
-        DRAWN["RPS"],
-        *(machine.stage for machine in spm.machine.gallery().values()),
-    ],
+    [BALANCER, spm.Stage(0.08, 0.09, spm.RRS(crank=0.02, rod=0.11)), DRAWN["PRS inclined"], DRAWN["RPS"]],
     ids=repr,
 )
 def test_actuators_of_a_stage_are_as_strong_as_it_is_heavy(stage: spm.Stage) -> None:
@@ -227,12 +221,9 @@ def test_actuators_of_a_stage_are_as_strong_as_it_is_heavy(stage: spm.Stage) -> 
     efforts = np.array([robot.joints[joint].limits["effort"] for joint in robot.motors])
     times = efforts / stage.legs.largest_slopes / weight
     assert ((times > 4.0) & (times < 25.0)).all(), times
-
-
-def test_a_ball_balancer_weighs_and_turns_as_much_as_one_of_hobby_servos() -> None:
-    robot = read_robot(BALANCER)
-    assert 0.1 < sum(link.mass for link in robot.links.values()) < 1.0  # [kg]
-    assert 0.3 < robot.joints["leg_1_hip"].limits["effort"] < 3.0  # [N m]
+    if stage is BALANCER:  # as one of hobby servos
+        assert 0.1 < sum(link.mass for link in robot.links.values()) < 1.0  # [kg]
+        assert 0.3 < efforts[0] < 3.0  # [N m]
 
 
 def test_sdf_closes_its_loops_by_joints_or_by_elements_of_drake(tmp_path: Path) -> None:
