@@ -7,7 +7,6 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
-from importlib.metadata import packages_distributions
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,6 @@ from spm_pin.cli.application import EXIT_CODES, app
 from spm_pin.cli.options import ARGUMENT_OPTIONS
 from spm_pin.crosscheck import METHODS, ClosedForm
 from spm_pin.display.writing import fixed, to_json
-from spm_pin.errors import EXTRAS, MissingExtraError
 
 LOAD = ["--force", "0", "0", "-500", "--velocity", "1", "0", "0"]
 COMMANDS = [command.callback.__name__ for command in app.registered_commands if command.callback]
@@ -47,15 +45,6 @@ def plain(text: str) -> str:
 
 
 # Messages
-
-
-def test_a_missing_package_has_the_name_that_pip_installs() -> None:
-    installed = packages_distributions()
-    for extra, package in ((extra, package) for extra, packages in EXTRAS.items() for package in packages):
-        error = MissingExtraError(extra, package)
-        assert error.package == error.name == package
-        if package in installed:  # not all extras can be installed everywhere
-            assert str(error).split()[2] in installed[package]
 
 
 def test_brackets_in_any_text_are_printed_as_they_are(capsys: pytest.CaptureFixture[str]) -> None:

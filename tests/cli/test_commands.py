@@ -35,23 +35,6 @@ def test_inverse_in_every_unit_and_as_json() -> None:
     assert line.split() == ["TT+", "119.982", "119.996", "139.856", "125.012", "120.004", "150.127*", "physical"]
 
 
-def test_statics_of_every_branch_and_of_one() -> None:
-    load = ["--force", "-20000", "-30000", "-30000", "--moment", "-300", "-300", "1000"]
-    motion = ["--velocity", "1", "2", "3", "--angular-velocity", "1", "2", "3"]
-    content = json.loads(run("statics", *EXAMPLE, *load, *motion, "--json").stdout)
-    assert list(content["branches"]) == ["TT+", "TT-", "TF+", "TF-", "FF+", "FF-"]
-    # The true values of Table 5, to four decimals in kN and cm/s.
-    reasonable = content["branches"]["TT+"]
-    true_forces = [21.5520, -14.8906, 23.8779, 30.7096, -12.8889, 26.9840]
-    true_rates = [-0.2932, 8.7198, 48.2731, 4.3340, -4.7388, -38.7021]
-    np.testing.assert_allclose(np.array(reasonable["forces"]) / 1e3, true_forces, atol=6e-5)
-    np.testing.assert_allclose(reasonable["rates"], true_rates, atol=6e-5)
-    table = run("statics", *EXAMPLE, *load, "--branch", "TT+").stdout
-    assert "Efforts in N: positive increases the reading" in table
-    assert "FF+" not in table
-    assert "Rates of the readings" not in table
-
-
 def test_singularities_of_each_branch() -> None:
     content = json.loads(run("singularities", *EXAMPLE, "--json").stdout)
     assert list(content["branches"]) == ["TT+", "TT-", "TF+", "TF-", "FF+", "FF-"]
@@ -94,15 +77,6 @@ def test_a_pose_that_is_not_reached_has_the_nearest_one_and_its_unit_of_angles(c
     nearest = text[text.index("The nearest pose within the limits is") :].splitlines()[1].split()
     there = run("inverse", *nearest, "--json")
     assert (there.returncode, json.loads(there.stdout)["nearest"]) == (0, None)
-
-
-def test_leg_lengths_beyond_the_limits_are_marked_as_a_pose_is() -> None:
-    legs = ["--legs", "1.2", "1.2", "1.4", "1.25", "1.2", "1.7"]
-    out = forward(*legs, code=5)
-    assert "physical*" in out
-    assert "* r_c3 beyond the limits" in out
-    (mode,) = json.loads(forward(*legs, "--json", code=5))["modes"]
-    assert (mode["within_limits"], mode["beyond_limits"]) == (False, [5])
 
 
 @pytest.mark.parametrize(("option", "count"), [("--rpy", 3), ("--quat", 4)])

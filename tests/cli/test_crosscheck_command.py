@@ -61,16 +61,6 @@ def test_reproduce_prints_the_verdict_every_table_and_each_finding() -> None:
         assert words in done.stdout.replace("\n", " "), words
 
 
-def test_reproduce_writes_json(tmp_path: Path) -> None:
-    target = tmp_path / "tables.json"
-    assert run("reproduce", "--table", "3", "--out", str(target)).returncode == 0
-    text = target.read_text(encoding="utf-8")
-    assert run("reproduce", "--table", "3", "--json").stdout == text
-    content = json.loads(text)
-    assert {cell["table"] for cell in content["cells"]} == {3}
-    assert [cell["column"] for cell in content["cells"] if cell["verdict"] == "misprint"] == ["5"]
-
-
 def test_reproduce_fails_on_a_difference_nothing_explains(monkeypatch: pytest.MonkeyPatch) -> None:
     first = ("116.1501", *published.TABLE_4[0][1:])
     monkeypatch.setattr(published, "TABLE_4", (first, *published.TABLE_4[1:]))

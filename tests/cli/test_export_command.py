@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio
@@ -32,16 +31,6 @@ def test_every_format_is_what_the_writers_write(tmp_path: Path) -> None:
     assert run("export", "--format", "extended-urdf", "--out", str(target)).returncode == 0
     kept = yaml.safe_load(Path(CLOSURES_PATH).read_text(encoding="utf-8"))
     assert yaml.safe_load(target.read_text(encoding="utf-8")) == kept
-
-
-def test_another_geometry_and_a_prefix(tmp_path: Path) -> None:
-    path = tmp_path / "robot.yaml"
-    path.write_text("base_radius: 0.7\nplatform_radius: 0.35\nmiddle_side: 0.8\n", encoding="utf-8")
-    done = run("export", "--format", "mjcf", "--machine", str(path), "--prefix", "left_")
-    assert done.stdout == mjcf_text(spm.Manipulator(0.7, 0.35, 0.8), prefix="left_")
-    srdf = ElementTree.fromstring(run("export", "--format", "srdf", "--prefix", "left_").stdout)
-    assert [g.get("name") for g in srdf.findall("group_state")] == ["home"]
-    assert len(srdf.findall("passive_joint")) == 12
 
 
 @pytest.mark.parametrize(

@@ -162,20 +162,3 @@ def test_limits_of_a_stage_are_proved(tmp_path: Path) -> None:
     assert picture.read_bytes()[:4] == b"\x89PNG"
     assert run("stage", "certify", *SIZES, "--limits", "-90", "170", "--boxes", "2000").returncode == 1
     assert run("stage", "certify", *SIZES).returncode == 2
-
-
-def test_a_motion_of_a_stage_is_planned_and_timed(tmp_path: Path) -> None:
-    table, picture = tmp_path / "motion.csv", tmp_path / "motion.png"
-    ends = ["--from", "20", "20", "20", "--to", "10", "35", "25", "--leg-rate", "8", "--leg-acceleration", "100"]
-    motion = [*SIZES, "--limits", "0", "50", *ends]
-    done = run("stage", "move", *motion, "--out", str(table), "--plot", str(picture))
-    assert done.returncode == 0, done.stderr
-    # A leg of 15 degrees at 100 rad/s² up to its middle, and 100 rad/s² down: no leg reaches 8 rad/s.
-    assert f"{2.0 * np.sqrt(np.radians(15.0) / 100.0):.4g} s, straight in leg lengths, proved" in done.stdout
-    assert table.read_text().splitlines()[0].startswith("time,r_1,r_2,r_3,x,")
-    assert picture.read_bytes()[:4] == b"\x89PNG"
-    content = json.loads(run("stage", "move", *motion, "--json").stdout)
-    assert content["certified"]
-    np.testing.assert_allclose(np.degrees(content["r_2"])[[0, -1]], [20.0, 35.0])
-    assert run("stage", "move", *motion, "--leg-rate", "1,2").returncode == 2
-    assert run("stage", "move", *SIZES, "--from", "20", "20", "20", "--to", "160", "-80", "160").returncode in (2, 3)

@@ -18,8 +18,6 @@ from PIL import Image
 from stores import contents, records
 
 import spm_pin as spm
-from spm_pin.crosscheck.paper_shell import workspace_shell
-from spm_pin.machine import RRS, Stage
 from spm_pin.sweeps import METRICS, leg_sample, pose_grid
 
 FEW = ["workspace", "--paper", "--resolution", "6"]
@@ -39,18 +37,6 @@ def test_workspace_prints_the_patches_the_volume_and_its_convergence() -> None:
     assert float(value) == pytest.approx(1.653e6, rel=1e-3)
     assert 0.0 < float(error) < 1e3
     assert unit == "cm³"
-
-
-def test_json_is_in_the_unit_typed() -> None:
-    content = json.loads(run(*FEW, "--limits", "110", "140", "--unit", "cm", "--json").stdout)
-    shell = workspace_shell(spm.Manipulator.paper(), spm.LegLimits(1.1, 1.4), resolution=6)
-    assert content["unit"] == "cm"
-    assert content["euler_characteristic"] == 2
-    np.testing.assert_allclose(content["limits"]["maximum"], 140.0)
-    assert content["volume"] == pytest.approx(shell.volume * 1e6, rel=1e-9)
-    assert content["area"] == pytest.approx(shell.area * 1e4, rel=1e-9)
-    assert [step["resolution"] for step in content["convergence"]] == [2, 3, 6]
-    assert content["patches"][1]["settings"]["r_b3"] == "min~max"
 
 
 def test_workspace_finds_what_this_machine_reaches(tmp_path: Path) -> None:
@@ -88,19 +74,6 @@ def test_limits_from_the_file_of_the_machine(tmp_path: Path) -> None:
     assert "legs from 1.1, 1.1, 1.1, 1.2, 1.2, 1.2 to 1.5, 1.5, 1.5, 1.4, 1.4, 1.4 m" in run(
         *FEW, "--machine", path
     ).stdout.replace("\n", " ")
-
-
-def test_readings_of_cranks_are_typed_in_degrees_whatever_the_unit(tmp_path: Path) -> None:
-    stage = Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35), limits=(0.0, 1.0))
-    spm.Manipulator.of_stages(stage, stage).to_yaml(tmp_path / "servos.yaml")
-    options = ["--machine", tmp_path / "servos.yaml", "--unit", "mm", "--workers", 1, "--limits", 10, 60]
-    output("--legs", "20:40:3", "--legs", "30", *options, "--metric", "reachable", "--out", tmp_path / "map")
-    stored = xarray.open_zarr(tmp_path / "map")
-    np.testing.assert_allclose(stored.r_b1, np.deg2rad([20.0, 30.0, 40.0]), rtol=1e-15)
-    assert float(stored.r_c1) == pytest.approx(np.deg2rad(30.0))
-    assert stored.r_b1.attrs["units"] == "rad"
-    limits = json.loads(stored.attrs["spm_pin_sweep"])["geometry"]["leg_limits"]
-    np.testing.assert_allclose(limits, np.deg2rad([10.0, 60.0]))
 
 
 POSES = ["--x", "37:44:4", "--y", "-16:-12:3", "--z", "250", "--xyx", "1", "17:20:2", "6", "--unit", "cm"]

@@ -21,7 +21,7 @@ from spm_pin.capability import wrench_polytope
 from spm_pin.description import urdf_text
 from spm_pin.description.robot import read_robot
 from spm_pin.description.tree import joint_values
-from spm_pin.description.visuals import part_placements, read_obj, visual_parts
+from spm_pin.description.visuals import read_obj, visual_parts
 from spm_pin.display.plots import draw, draw_capability, save_gallery, save_picture
 from spm_pin.display.rendering import VIEW, camera_axes, robot_solids
 from spm_pin.errors import ArgumentError
@@ -176,16 +176,6 @@ def test_within_its_limits_a_leg_is_that_of_the_urdf():
             barrel, rod = (tubes[f"leg_{leg[2:]}_{half} tube"] for half in ("cylinder", "rod"))
             assert barrel + rod > limits.maximum[k]
             assert max(barrel, rod) < limits.minimum[k]
-
-
-def test_placements_of_a_batch_are_those_of_its_members():
-    batch = SOLUTIONS.configurations
-    together = part_placements(batch)
-    for i in range(len(batch)):
-        if batch.exists[i]:
-            np.testing.assert_allclose(together[i], part_placements(batch[i]), rtol=1e-14, atol=1e-14)
-        else:
-            assert np.isnan(together[i]).any()
 
 
 def test_pins_lie_on_the_revolute_axes_and_legs_go_from_pivots_to_balls():

@@ -58,17 +58,6 @@ def test_every_machine_has_a_physical_start_the_paper_s_is_its_solution_3(name):
         assert not state.warnings + state.notes
 
 
-def test_a_dragged_platform_is_followed_on_its_branch():
-    model = ViewerModel(START)
-    model.hold_limits = False
-    for k in range(1, 6):
-        target = moved(START.pose, shift=(0.0, 0.0, -0.01 * k), turn=(0.0, -0.01 * k, 0.0))
-        state = model.drag(target)
-        assert state.label == "TT+"
-        assert state.distance == 0.0
-        np.testing.assert_allclose(state.shown.pose.as_matrix(), target.as_matrix(), atol=1e-15)
-
-
 def test_a_machine_as_built_is_dragged_on_its_branch_and_stays_within_its_limits():
     machine = problems.as_built(PAPER, 2e-2)
     start = spm.forward_physical(machine, [1.25, 1.2, 1.35, 1.3, 1.2, 1.4])
