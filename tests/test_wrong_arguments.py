@@ -50,6 +50,9 @@ NONSENSE: dict[str, Any] = {
     "a foreign object": Foreign(),
 }
 
+REFUSED = "a word", "nan", "an empty list", "an array of another shape", "a foreign object"
+"""Values that hardly any argument may have: for callables of which an accepted call takes long."""
+
 PAPER = spm.Manipulator.paper()
 BUILT = PAPER.perturbed(5)
 MEASURED = spm.forward_physical(PAPER, np.random.default_rng(0).uniform(1.15, 1.45, (16, 6)))
@@ -479,7 +482,8 @@ def test_malformed_arguments_give_a_result_or_an_error_that_names_them(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     wrong = []
-    values = [(kind, value, True) for kind, value in NONSENSE.items()] + [("None alone", None, False)]
+    kinds = REFUSED if is_slow(place) else NONSENSE
+    values = [(kind, NONSENSE[kind], True) for kind in kinds] + [("None alone", None, False)]
     for kind, value, complete in values:
         try:
             with within(60.0):

@@ -209,27 +209,6 @@ def test_shapes_are_where_the_urdf_has_them(kind: str, load: Load) -> None:
     np.testing.assert_allclose(described(found), described(expected), atol=1e-12)
 
 
-def test_falling_in_mujoco_the_loops_hold(load: Load) -> None:
-    robot: Mujoco = load("mujoco", "mjcf")
-    data = robot.data
-    robot.mujoco.mj_resetDataKeyframe(robot.model, data, robot.model.key("reference").id)
-    before, gap = data.qpos.copy(), 0.0
-    for _ in range(100):
-        robot.mujoco.mj_step(robot.model, data)
-        gap = max(gap, float(np.abs(data.efc_pos[:12]).max()))
-    assert np.abs(data.qpos - before).max() > 1e-2
-    assert gap < 1e-5
-    robot.model.eq_active0[:] = 0
-    try:
-        robot.set(STATES["reference"])
-        for _ in range(100):
-            robot.mujoco.mj_step(robot.model, data)
-        values = dict(zip(robot.joints, data.qpos, strict=True))
-        assert TREE.gap(values, read_closures()) > 1e-3
-    finally:
-        robot.model.eq_active0[:] = 1
-
-
 def test_mjcf_of_another_machine(tmp_path: Path) -> None:
     machine = MANIPULATORS["wide base"]
     tree = KinematicTree(urdf_text(machine))

@@ -199,18 +199,3 @@ def test_inertia_is_that_of_simple_bodies(tree: KinematicTree) -> None:
             expected += v * mass / volume * about_centre
         found = frame[:3, :3] @ moments @ frame[:3, :3].T
         np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12 * expected.max(), err_msg=name)
-
-
-def test_visual_and_collision_geometry(tree: KinematicTree) -> None:
-    materials = {str(m.get("name")) for m in tree.root.findall("material")}
-    for name, link in tree.links.items():
-        visuals = link.findall("visual")
-        assert {material.get("name") for material in link.findall("visual/material")} <= materials
-        assert bool(visuals) != (name.startswith("ball_") or name.endswith("_upper")), name
-        assert bool(link.findall("collision")) != (name.startswith("ball_") or name.endswith(("_tip", "_upper"))), name
-        for mesh in link.findall("visual/geometry/mesh"):
-            assert (vector(mesh.get("scale")) > 0.0).all(), name
-            assert Path(str(mesh.get("filename"))).is_file(), name
-        for solid in link.findall("collision/geometry/*"):
-            assert solid.tag in ("box", "cylinder", "sphere"), name
-            assert all((vector(value) > 0.0).all() for value in solid.attrib.values()), name

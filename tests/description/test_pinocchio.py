@@ -19,7 +19,6 @@ from spm_pin.description import (
     Closure,
     joint_values,
     read_closures,
-    urdf_text,
 )
 
 pin = pytest.importorskip("pinocchio")
@@ -87,18 +86,3 @@ def test_no_collision_where_a_machine_can_be(model: Any) -> None:
     assert collides(STATES["solution_7"])
     for configuration in in_leg_space(spm.Manipulator.paper(), 50, seed=5).configuration:
         assert not collides(joint_values(configuration))
-
-
-def test_two_robots_need_prefixes() -> None:
-    bare = pin.buildModelFromXML(urdf_text())
-    with pytest.raises(ValueError, match="conflicting frame names"):
-        pin.appendModel(bare, bare, 0, pin.SE3.Identity())
-    left, right = (pin.buildModelFromXML(urdf_text(prefix=prefix)) for prefix in ("left_", "right_"))
-    both = pin.appendModel(left, right, 0, pin.SE3(np.eye(3), np.array([3.0, 0.0, 0.0])))
-    data = both.createData()
-    pin.framesForwardKinematics(both, data, pin.neutral(both))
-    for closure in [*read_closures(prefix="left_"), *read_closures(prefix="right_")]:
-        assert both.existFrame(closure.frame_a)
-        assert both.existFrame(closure.frame_b)
-        a, b = (data.oMf[both.getFrameId(frame)].translation for frame in (closure.frame_a, closure.frame_b))
-        np.testing.assert_allclose(a, b, atol=1e-12)

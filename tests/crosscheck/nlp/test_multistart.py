@@ -13,7 +13,6 @@ from scipy.spatial.transform import RigidTransform
 import spm_pin as spm
 from spm_pin.crosscheck import nlp
 from spm_pin.crosscheck import random_poses as draw
-from spm_pin.crosscheck.nlp.branch_search import random_starts
 from spm_pin.machine import Status
 
 FAR = spm.pose([3.0, 3.0, 2.0], xyx=[0.1, 0.5, 0.3])
@@ -117,22 +116,6 @@ def test_points_of_a_continuous_family_are_not_reported_as_branches(pose: RigidT
     assert found.solutions.status is Status.DEGENERATE
     np.testing.assert_array_equal(found.solutions.exists, closed.exists)
     assert found.hits.sum() < 512
-
-
-def test_starts_have_the_right_sides_and_violate_the_planes_least() -> None:
-    built, matrix = PAPER.perturbed(1, length=3e-3, angle=3e-3), EXAMPLE.as_matrix()
-    starts = random_starts(built, matrix, 20, np.random.default_rng(0)).reshape(20, 3, 3)
-    sides = np.linalg.norm(starts - np.roll(starts, -1, axis=1), axis=-1)
-    np.testing.assert_allclose(sides, np.broadcast_to(built.legs.sides, (20, 3)), rtol=1e-12)
-    equations = nlp.closure(built)
-
-    def planes(b: np.ndarray) -> float:
-        residual = np.asarray(equations(b.ravel(), matrix[:3, :3], matrix[:3, 3])[0]).ravel()
-        return float(residual[:6] @ residual[:6])
-
-    for b in starts[:5]:
-        for shift in 1e-3 * np.concatenate([np.eye(3), -np.eye(3)]):
-            assert planes(b + shift) > planes(b)
 
 
 # --- IPOPT -----------------------------------------------------------------------------------------------------------
