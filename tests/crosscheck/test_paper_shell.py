@@ -155,7 +155,7 @@ def test_limits_may_differ_from_leg_to_leg() -> None:
     ],
 )
 def test_limits_and_machines_without_a_shell(machine: spm.Manipulator, limits: spm.LegLimits | None) -> None:
-    with pytest.raises(spm.ArgumentError):
+    with pytest.raises(spm.ArgumentError, check=with_fields(argument="limits")):
         workspace_shell(machine, limits, resolution=4)
 
 

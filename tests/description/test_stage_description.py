@@ -205,7 +205,7 @@ def test_servos_have_the_limits_of_the_stage() -> None:
     assert (motors.actuator_biastype == mujoco.mjtBias.mjBIAS_NONE).all()
     robot = mujoco.MjModel.from_xml_string(mjcf_text(actuators="servos"))
     assert (robot.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE).all()
-    with pytest.raises(ArgumentError, match="motors"):
+    with pytest.raises(ArgumentError, check=with_fields(argument="actuators")):
         mjcf_text(stage, actuators="muscles")
 
 
@@ -263,15 +263,15 @@ def test_a_payload_is_on_the_platform() -> None:
 
 
 def test_a_stage_that_does_not_stand_level_has_no_description() -> None:
-    with pytest.raises(spm.GeometryError, match="Is a rod too short, a sign wrong"):
+    with pytest.raises(spm.GeometryError, check=with_fields(argument="machine")):
         urdf_text(spm.Stage(0.3, 0.2, spm.PRS(rod=0.4, direction=0.0, sign=-1)))
 
 
 def test_states_of_another_stage_are_refused() -> None:
     _, states = stage_and_states("RRS")
-    with pytest.raises(DescriptionError, match="states"):
+    with pytest.raises(DescriptionError, check=with_fields(argument="states")):
         mjcf_text(DRAWN["RPS"], states={"mine": states[0]})
-    with pytest.raises(ArgumentError, match="a Manipulator or a Stage"):
+    with pytest.raises(ArgumentError, check=with_fields(argument="machine")):
         urdf_text("stage.yaml")  # type: ignore[arg-type]
 
 
@@ -310,5 +310,5 @@ def test_a_plate_of_its_own_and_what_no_ball_is() -> None:
         Ball(radius=-1.0)
     with pytest.raises(DescriptionError, check=with_fields(argument="ball")):
         mjcf_text(ball=Ball())
-    with pytest.raises(ArgumentError, match="ball"):
+    with pytest.raises(ArgumentError, check=with_fields(argument="ball")):
         mjcf_text(BALANCER, ball=0.02)  # type: ignore[arg-type]

@@ -88,7 +88,7 @@ def test_a_stage_and_its_reach_are_drawn() -> None:
         row, column = (high - y) / (high - low), (x - left) / (right - left)
         pixels = image.get_array()
         assert pixels[int(row * pixels.shape[0]), int(column * pixels.shape[1]), 3] > 0.9
-    with pytest.raises(spm.ArgumentError):
+    with pytest.raises(spm.ArgumentError, check=with_fields(argument="configuration")):
         stage_figure(spm.inverse_physical(stage, [0.4, 0.5]))
     reach = spm.workspace.reach(stage, [0.3, 0.45], directions=24)
     lines = reach_figure(reach).axes[0].lines

@@ -231,5 +231,5 @@ def test_solids_of_carriages_and_cranks_are_where_the_urdf_has_them():
     ],
 )
 def test_what_cannot_be_shown_is_refused(state):
-    with pytest.raises(ArgumentError):
+    with pytest.raises(ArgumentError, check=with_fields(argument="configuration")):
         robot_solids(state)

@@ -81,7 +81,7 @@ def test_selecting_a_branch_keeps_the_pose_and_says_what_is_wrong_with_it():
     np.testing.assert_allclose(state.shown.pose.as_matrix(), START.pose.as_matrix(), atol=1e-15)
     assert "Beyond the leg limits: r_b1 by 370.2 mm" in " ".join(state.warnings)
     assert not model.select("TT+").warnings
-    with pytest.raises(spm.ArgumentError):
+    with pytest.raises(spm.ArgumentError, check=with_fields(argument="label")):
         model.select("FT+")
 
 

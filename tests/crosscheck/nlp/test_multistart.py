@@ -141,7 +141,7 @@ def test_ipopt_finds_the_paper_s_branches_none_out_of_reach_and_prints_nothing(
     "options", [{"ipopt.max_iters": 3}, {"foo": 1}, {"ipopt.tol": "small"}, {"ipopt.linear_solver": "ma27"}]
 )
 def test_bad_options_raise_an_argument_error(options: dict[str, object]) -> None:
-    with pytest.raises(spm.ArgumentError):
+    with pytest.raises(spm.ArgumentError, check=with_fields(argument="options")):
         nlp.search(PAPER, EXAMPLE, solver="ipopt", starts=2, options=options)
     with pytest.raises(spm.ArgumentError, check=with_fields(argument="options")):
         nlp.search(PAPER, EXAMPLE, options={"ipopt.max_iter": 3})
