@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -15,9 +13,7 @@ import spm_pin as spm
 from spm_pin.crosscheck.paper import published
 from spm_pin.crosscheck.paper_shell import (
     ERRATA,
-    LegSetting,
     Shell,
-    SubWorkspace,
     sub_workspaces,
     workspace_shell,
 )
@@ -173,24 +169,3 @@ def test_only_the_misprints_named_are_misprints() -> None:
             if cell.replace("~", " ").split() not in ([low], [high], [low, high]):
                 found[name, leg] = cell
     assert found == ERRATA
-
-
-def shared_edges(rows: Sequence[SubWorkspace]) -> Counter[frozenset[tuple[int, ...]]]:
-    """Count the sides of rows by their ends, 0 at a minimum and 1 at a maximum."""
-    rings = (([row.increments(1)[at] for at in ((0, 0), (1, 0), (1, 1), (0, 1), (0, 0))]) for row in rows)
-    return Counter(frozenset((tuple(a), tuple(b))) for ring in rings for a, b in pairwise(ring))
-
-
-def test_other_corrections_of_a_misprint_open_the_surface() -> None:
-    assert set(shared_edges(ROWS).values()) == {2}
-    other = {
-        LegSetting.MINIMUM: LegSetting.MAXIMUM,
-        LegSetting.MAXIMUM: LegSetting.MINIMUM,
-        LegSetting.VARIES: LegSetting.MINIMUM,
-    }
-    for name, leg in ERRATA:
-        (k,) = [k for k, row in enumerate(ROWS) if row.name == name]
-        settings = list(ROWS[k].settings)
-        settings[spm.machine.LEGS.index(leg)] = other[settings[spm.machine.LEGS.index(leg)]]
-        if settings.count(LegSetting.VARIES) == 2:
-            assert set(shared_edges([*ROWS[:k], SubWorkspace(name, tuple(settings)), *ROWS[k + 1 :]]).values()) != {2}

@@ -8,10 +8,8 @@ import sysconfig
 from pathlib import Path
 from xml.etree import ElementTree
 
-import numpy as np
 import pytest
-from description.kinematic_tree import STATES, TREE
-from engines import Drake, Mujoco, Pinocchio
+from description.kinematic_tree import TREE
 from kinds_of_legs import SERVOS_AND_SCREWS as ROBOT
 
 import spm_pin as spm
@@ -50,22 +48,3 @@ def test_the_root_for_ros_has_no_inertia_and_carries_the_base(machine: spm.Stage
     assert root == f"{prefix}root"
     assert len(links.pop(root)) == 0
     assert list(links) == [link.get("name") for link in plain.findall("link")]
-
-
-@pytest.mark.parametrize("engine", [Pinocchio, Mujoco, Drake])
-def test_engines_place_the_robot_on_the_root_for_ros_as_without_it(engine: type, tmp_path: Path) -> None:
-    pytest.importorskip({Pinocchio: "pinocchio", Mujoco: "mujoco", Drake: "pydrake"}[engine])
-    robots = []
-    for root in (False, True):
-        file = tmp_path / f"{root}.urdf"
-        file.write_text(urdf_text(root=root), encoding="utf-8")
-        robots.append(engine(file))
-    plain, rooted = robots
-    assert rooted.joints == plain.joints
-    values = STATES["reference"]
-    frames, expected = (robot.frames(values) for robot in (rooted, plain))
-    assert frames.keys() >= expected.keys()
-    for link, pose in expected.items():
-        np.testing.assert_allclose(frames[link], pose, rtol=0, atol=1e-14)
-    np.testing.assert_allclose(rooted.gaps(values), 0.0, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(rooted.mass_matrix(values), plain.mass_matrix(values), rtol=0, atol=1e-12)

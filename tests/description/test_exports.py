@@ -174,21 +174,6 @@ def test_sites_are_at_the_frames(load: Load) -> None:
         np.testing.assert_allclose(there, expected, atol=1e-12, err_msg=site.name)
 
 
-def test_visual_and_collision_shapes(load: Load) -> None:
-    robot: Mujoco = load("mujoco", "mjcf")
-    seen = robot.model.geom_contype == 0
-    assert np.count_nonzero(seen) == sum(len(link.findall("visual")) for link in TREE.links.values())
-    assert np.count_nonzero(~seen) == sum(len(link.findall("collision")) for link in TREE.links.values())
-    for material in TREE.root.findall("material"):
-        (colour,) = material.findall("color")
-        name, rgba = str(material.get("name")), str(colour.get("rgba"))
-        np.testing.assert_allclose(robot.model.material(name).rgba, np.array(rgba.split(), float), rtol=1e-6)
-    # As for the URDF: the collision shapes themselves keep clear of the joints.
-    for state in ("home", "reference"):
-        robot.set(STATES[state])
-        assert robot.data.ncon == 0
-
-
 @pytest.mark.parametrize("kind", ["VISUAL", "COLLISION"])
 def test_shapes_are_where_the_urdf_has_them(kind: str, load: Load) -> None:
     pin, what = load("pinocchio", "urdf").pin, getattr(load("pinocchio", "urdf").pin, kind)
@@ -262,21 +247,6 @@ def test_sdf_is_read_with_its_loops_up_to_where_engines_stop() -> None:
         np.testing.assert_allclose(a[:3], home[closure.frame_b][:3, 3], atol=1e-12)
     with pytest.raises(RuntimeError, match="loops"):
         plant.Finalize()
-
-
-def test_sdf_elements_follow_the_format() -> None:
-    """Every element of the tree's part is one that SDFormat 1.9 names; names are unique; poses are URDF's."""
-    root = ElementTree.parse(SDF_PATH).getroot()
-    assert root.get("version") == "1.9"
-    model = root.find("model")
-    names = [element.get("name") for element in model]
-    assert len(set(names)) == len(names)
-    links, joints = model.findall("link"), model.findall("joint")
-    assert [link.get("name") for link in links] == list(TREE.links)
-    kinds = {str(joint.get("name")): joint.get("type") for joint in joints}
-    assert [kind for kind in kinds.values() if kind == "ball"] == ["ball"] * 4
-    for name, joint in TREE.joints.items():
-        assert kinds[name] == joint.kind
 
 
 @cache

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 import trimesh
 import yaml
-from description.kinematic_tree import SLIDES, TREE, KinematicTree, named_states
+from description.kinematic_tree import SLIDES, KinematicTree, named_states
 from error_fields import with_fields
 from problems import in_leg_space, random_branches
 
 import spm_pin as spm
-from spm_pin.description import JOINTS, extended_urdf_text, urdf_text
+from spm_pin.description import extended_urdf_text, urdf_text
 from spm_pin.description.source_files import (
     ENTRY,
     EXTENDED_URDF,
@@ -97,21 +97,6 @@ def test_written_files_contain_no_local_path() -> None:
         assert str(Path.home()) not in text
 
 
-def test_the_tree_has_eighteen_joints_that_load_everywhere() -> None:
-    tree = TREE
-    assert tree.base == "base"
-    assert set(tree.moving) == set(JOINTS)
-    assert {joint.kind for joint in tree.moving.values()} == {"revolute", "prismatic"}
-    assert {name for name, joint in tree.moving.items() if joint.kind == "prismatic"} == set(SLIDES)
-    for name, joint in tree.moving.items():
-        assert joint.limit["lower"] < 0.0 < joint.limit["upper"]
-        assert joint.limit["velocity"] > 0.0
-        assert (joint.limit["effort"] > 0.0) == (name in SLIDES)
-    transmitted = [str(t.findtext("type")).rpartition("/")[2] for t in tree.root.findall("transmission")]
-    assert transmitted == ["SimpleTransmission"] * 6
-    assert [joint.get("name") for joint in tree.root.findall("transmission/joint")] == list(SLIDES)
-
-
 def test_prefix_is_on_every_name() -> None:
     bare, prefixed = urdf_text(), urdf_text(prefix="left_")
     named = re.compile(r'<(link|joint|transmission|actuator|material|parent|child)\b[^>]*?(?:name|link)="([^"]*)"')
@@ -137,19 +122,6 @@ def test_prefixes_that_cannot_begin_a_name(prefix: str) -> None:
 @pytest.mark.parametrize("prefix", ["r2.d2.", "e1_", "yes"])
 def test_prefixes_come_out_as_they_went_in(prefix: str) -> None:
     assert KinematicTree(urdf_text(prefix=prefix)).base == f"{prefix}base"
-
-
-def test_srdf_names_what_the_urdf_has() -> None:
-    root, tree = ElementTree.fromstring(shipped(SRDF)), TREE
-    assert root.get("name") == tree.root.get("name")
-    groups = {g.get("name"): [j.get("name") for j in g.findall("joint")] for g in root.findall("group")}
-    assert groups == {"legs": list(SLIDES), "mechanism": list(JOINTS)}
-    assert [j.get("name") for j in root.findall("passive_joint")] == [name for name in JOINTS if name not in SLIDES]
-    pairs = [(str(p.get("link1")), str(p.get("link2"))) for p in root.findall("disable_collisions")]
-    assert len({frozenset(pair) for pair in pairs}) == len(pairs)
-    assert {link for pair in pairs for link in pair} <= tree.links.keys()
-    listed = {frozenset(pair) for pair in pairs}
-    assert all({joint.parent, joint.child} in listed for joint in tree.joints.values())
 
 
 def test_srdf_of_other_states() -> None:

@@ -16,9 +16,7 @@ from spm_pin.description import (
     CLOSURES_PATH,
     SRDF_PATH,
     URDF_PATH,
-    Closure,
     joint_values,
-    read_closures,
 )
 
 pin = pytest.importorskip("pinocchio")
@@ -27,23 +25,6 @@ pin = pytest.importorskip("pinocchio")
 @pytest.fixture
 def model() -> Any:
     return pin.buildModelFromUrdf(URDF_PATH)
-
-
-@pytest.mark.parametrize("prefix", ["", "p_"])
-def test_the_four_balls(prefix: str) -> None:
-    pairs = [("middle_b2", "leg_b2_tip"), ("middle_b3", "leg_b3_tip")]
-    pairs += [("middle_b2_upper", "leg_c2_tip"), ("middle_b3_upper", "leg_c3_tip")]
-    names = ("b2", "b3", "c2", "c3")
-    assert read_closures(prefix=prefix) == tuple(
-        Closure(f"{prefix}closure_{name}", prefix + a, prefix + b) for name, (a, b) in zip(names, pairs, strict=True)
-    )
-
-
-def test_reference_configurations(model: Any) -> None:
-    pin.loadReferenceConfigurations(model, SRDF_PATH, False)
-    assert {entry.key() for entry in model.referenceConfigurations} == set(STATES)
-    for name, values in STATES.items():
-        assert model.referenceConfigurations[name].tolist() == [values[joint] for joint in list(model.names)[1:]]
 
 
 def test_the_public_loader_gets_a_closed_robot(model: Any) -> None:
