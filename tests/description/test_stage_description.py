@@ -90,6 +90,8 @@ def test_a_batch_has_the_joint_angles_of_its_members_and_of_the_lower_stage_of_a
     stage, states = stage_and_states("RRS")
     angles = joint_angles(states)
     np.testing.assert_array_equal(angles.values, [joint_angles(state).values for state in states])
+    with pytest.raises(ArgumentError, check=with_fields(argument="configuration")):
+        joint_values(states)
     assert angles.passive.shape == angles.actuated.shape == angles.ball_x.shape == (6, 3)
     robot = spm.Manipulator.of_stages(stage, stage)
     both = joint_angles(spm.Configuration(robot, states.pose, states.balls))
@@ -201,6 +203,10 @@ def test_servos_have_the_limits_of_the_stage() -> None:
     (zeros,) = re.findall(r"the value of its joint plus (.*?)\. Their", mjcf_text(stage))
     np.testing.assert_array_equal(np.array(zeros.split(), float), home_readings(stage) + stage.legs.offsets)
     assert (model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE).all()
+    small = spm.Stage(0.04, 0.045, spm.RRS(crank=0.025, rod=0.055))
+    efforts = mujoco.MjModel.from_xml_string(mjcf_text(small)).jnt_actfrcrange
+    assert np.count_nonzero(efforts[:, 1] > 0.0) == 3
+    assert efforts.max() < 1.0
     motors = mujoco.MjModel.from_xml_string(mjcf_text(stage, actuators="motors"))
     assert (motors.actuator_biastype == mujoco.mjtBias.mjBIAS_NONE).all()
     robot = mujoco.MjModel.from_xml_string(mjcf_text(actuators="servos"))
