@@ -193,23 +193,6 @@ def test_the_command_searches_shows_and_writes_a_machine(tmp_path: Path) -> None
     assert run(*command, "--choose", "99", "--out", tmp_path / "x.yaml").returncode == 2
 
 
-@pytest.mark.parametrize(
-    ("more", "text"),
-    [
-        (["--free", "platform_radius:0.2:0.3"], "--free: expected names without repetition, got platform_radius twice"),
-        (["--at-most", "footprint"], "--at-most: expected a name and 1 number, with colons between, got 'footprint'"),
-        (["--minimise", "volume"], "--maximise, --minimise: expected names without repetition, got volume twice"),
-        (["--choose=-1", "--out", "x.yaml"], "--choose: expected a row of the front"),
-    ],
-)
-def test_options_that_contradict_are_refused_before_the_search(tmp_path: Path, more: list[str], text: str) -> None:
-    command = ["design", tmp_path / "front.json", "--free", "platform_radius:0.25:0.6"]
-    done = run(*command, "--maximise", "volume", "--minimise", "footprint", *more)
-    assert done.returncode == 2
-    assert text in done.message
-    assert not (tmp_path / "front.json").exists()
-
-
 def test_a_task_has_the_margin_and_the_efforts_of_its_states() -> None:
     machine = spm.Manipulator.paper()
     state = spm.forward_physical(machine, [1.2, 1.2, 1.4, 1.25, 1.2, 1.45])
