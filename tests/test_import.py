@@ -3,17 +3,10 @@
 from __future__ import annotations
 
 import ast
-import builtins
 import graphlib
-import inspect
-import itertools
-import re
 import subprocess
 import sys
-import typing
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -107,60 +100,6 @@ def test_nothing_is_written_into_the_working_folder(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "picture.png").exists()
     assert not list((tmp_path / "here").iterdir())
-
-
-class Foreign(type):
-    """A type of another package that is imported for type checkers only; its attributes are such types too."""
-
-    def __getattr__(cls, name: str) -> Foreign:
-        return Foreign(name, (), {})
-
-    def __getitem__(cls, parameter: object) -> Foreign:
-        return cls
-
-
-def hints(owner: Any) -> dict[str, Any]:
-    """Return the annotations of a function or of a class, without its bases."""
-    texts = inspect.get_annotations(owner)
-    names = {name: Foreign(name, (), {}) for text in texts.values() for name in re.findall(r"[a-zA-Z]\w*", str(text))}
-    found = typing.get_type_hints(owner, localns={**names, **vars(builtins), **vars(sys.modules[owner.__module__])})
-    return {name: found[name] for name in texts}
-
-
-def types_of(annotation: object) -> Iterator[type]:
-    if inspect.isclass(annotation) and not typing.get_args(annotation):
-        yield annotation
-    for part in typing.get_args(annotation):
-        yield from types_of(part)
-
-
-def types_given(member: Any) -> Iterator[type]:
-    """Yield the types of what a function returns, or of a class's public attributes and what its methods return."""
-    if inspect.isfunction(member):
-        yield from types_of(hints(inspect.unwrap(member)).get("return"))
-    elif inspect.isclass(member):
-        for base in member.__mro__:
-            own = {name: kind for name, kind in hints(base).items() if not name.startswith("_")}
-            yield from itertools.chain.from_iterable(map(types_of, own.values()))
-            for name, value in vars(base).items():
-                # A property, a cached one, a class or static method; or a method as it is.
-                method = next((getattr(value, k) for k in ("fget", "func", "__func__") if hasattr(value, k)), value)
-                if inspect.isfunction(method) and not name.startswith("_"):
-                    yield from types_given(method)
-
-
-def test_what_the_public_names_give_has_public_types() -> None:
-    modules = [spm, *(module for _, module in inspect.getmembers(spm, inspect.ismodule))]
-    members = [(f"{module.__name__}.{name}", getattr(module, name)) for module in modules for name in module.__all__]
-    public = [member for _, member in members]
-    hidden = {
-        f"{place} gives {found.__module__}.{found.__qualname__}"
-        for place, member in members
-        for found in types_given(member)
-        if found.__module__.startswith("spm_pin") and found not in public
-    }
-    assert len(members) > 150
-    assert not hidden
 
 
 def test_no_modules_import_each_other() -> None:

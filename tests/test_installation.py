@@ -42,7 +42,7 @@ def test_clean_installation(tmp_path: Path) -> None:
     assert str(tmp_path) in where
 
 
-PYTHONS = ("3.11", "3.12", "3.13", "3.14")
+PYTHONS = ("3.11", "3.14")
 PLATFORMS = ("x86_64-manylinux_2_34", "aarch64-manylinux_2_34", "aarch64-apple-darwin")
 
 

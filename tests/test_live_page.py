@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from browser import chromium, until, watched
 from export.c_poses import spread_poses
-from PIL import Image
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
@@ -145,7 +144,7 @@ def test_webassembly_finds_the_branches_of_the_package(page) -> None:
     np.testing.assert_allclose(joints[clear], expected.configurations.middle_joints[clear], rtol=0.0, atol=1e-9)
 
 
-@pytest.mark.parametrize("example", ["eight branches", "paper’s pose", "level", "out of reach"])
+@pytest.mark.parametrize("example", ["eight branches", "level", "out of reach"])
 def test_an_example_shows_what_python_finds(page, example: str) -> None:
     page.get_by_role("button", name=example).click()
     expected = check_what_is_shown(page)
@@ -161,25 +160,6 @@ def test_an_example_shows_what_python_finds(page, example: str) -> None:
         assert status == f"{int(expected.count)} of 8 branches are real"
     drawn = bool(expected.exists.any())
     until(lambda: page.locator(".live-handle").is_visible() == drawn, "the picture", page=page)
-    hint = "drag the platform, or around it to turn" if drawn else "drag to turn"
-    assert page.locator(".live-hint").inner_text() == hint
-
-
-@pytest.mark.parametrize("lengths", [[1.3] * 6, [1.5, 1.1, 1.5] * 2], ids=["level", "tilted"])
-def test_leg_lengths_have_a_state_where_branches_are_not_isolated(page, lengths: list[float]) -> None:
-    page.get_by_role("button", name="out of reach").click()
-    choose(page, "legs")
-    set_sliders(page, lengths)
-    assert solved_in_python(page).status == spm.Status.DEGENERATE
-    check_solids(page, spm.forward_physical(MACHINE, lengths))
-    np.testing.assert_allclose(lengths_shown(page), lengths, rtol=0.0, atol=1e-12)
-    assert page.locator("#live table").is_visible()
-    assert page.locator("#live caption").inner_text() == "Leg lengths of this state in m"
-    assert page.locator(".live-status").inner_text() == "Degenerate"
-    reason = page.locator(".live-reason").inner_text()
-    assert reason.endswith("branches are not isolated. Drawn is the one of these leg lengths.")
-    assert set(page.locator(".live-branches small").all_inner_texts()) == {"not isolated"}
-    until(page.locator(".live-handle").is_visible, "the handle", page=page)
 
 
 def test_sliders_of_the_pose_show_what_python_finds(page) -> None:
@@ -194,42 +174,6 @@ def test_sliders_of_the_pose_show_what_python_finds(page) -> None:
     np.testing.assert_allclose(held.rotation.as_matrix(), turned.as_matrix(), atol=1e-15)
 
 
-def test_sliders_of_the_legs_show_the_pose_they_hold(page) -> None:
-    choose(page, "legs")
-    lengths = [1.25, 1.2, 1.38, 1.25, 1.2, 1.45]
-    set_sliders(page, lengths)
-    expected = check_what_is_shown(page)
-    np.testing.assert_allclose(expected.physical().leg_lengths, lengths, rtol=0.0, atol=1e-12)
-    # The pose that is then shown is the same but for its digits.
-    choose(page, "pose")
-    np.testing.assert_allclose(check_what_is_shown(page).physical().leg_lengths, lengths, rtol=0.0, atol=5e-4)
-
-
-def test_of_two_physical_branches_the_one_of_the_legs_is_shown(page) -> None:
-    lengths = np.random.default_rng(3).uniform(1.1, 1.5, (3000, 6)).round(3)
-    found = spm.forward_physical(MACHINE, lengths)
-    branches = spm.inverse_displacement(MACHINE, found[found.exists].pose)
-    lengths, taken = lengths[found.exists], branches.physical().leg_lengths
-    twice = np.flatnonzero((branches.is_physical.sum(axis=-1) == 2) & (np.abs(taken - lengths).max(axis=-1) > 0.1))
-    choose(page, "legs")
-    set_sliders(page, lengths[twice[0]])
-    np.testing.assert_allclose(lengths_shown(page), lengths[twice[0]], rtol=0.0, atol=1e-12)
-
-
-def test_colours_of_a_slider_tell_where_a_real_machine_can_be(page) -> None:
-    page.get_by_role("button", name="eight branches").click()
-    text = page.locator(".live-track i").nth(5).evaluate("it => it.style.backgroundImage")
-    colours = [int(x) for x in re.findall(r"var\(--live-reach-(\d)\)", text)]
-    yaw = -25.0 + 50.0 * (np.arange(len(colours)) + 0.5) / len(colours)
-    turned = Rotation.from_euler(
-        "xyz", np.column_stack([np.full_like(yaw, -20.0), np.full_like(yaw, 5.0), yaw]), degrees=True
-    )
-    held = spm.inverse_physical(MACHINE, spm.pose([0.11, 0.45, 2.45], rotation=turned))
-    within = (held.leg_lengths >= 1.1) & (held.leg_lengths <= 1.5)
-    assert colours == (held.exists + (held.exists & within.all(axis=-1)).astype(int)).tolist()
-    assert set(colours) == {0, 1, 2}
-
-
 def check_solids(page, state) -> None:
     """Compare the places of the solids with those of the description."""
     found = page.evaluate("document.getElementById('live').machine.placements()")
@@ -240,57 +184,10 @@ def check_solids(page, state) -> None:
         np.testing.assert_allclose(shown, part.vertices @ placement[:3, :3].T + placement[:3, 3], atol=1e-4)
 
 
-def test_keys_move_sliders_and_turn_the_view(page, tmp_path: Path) -> None:
-    page.get_by_role("button", name="eight branches").click()
-    page.locator("#live input[type=range]").first.focus()
-    page.keyboard.press("ArrowRight")
-    assert page.locator("#live output").first.inner_text() == "0.111 m"
-    assert check_what_is_shown(page).configurations[0].pose.translation[0] == 0.111
-
-    def picture(name: str) -> np.ndarray:
-        page.locator("#live canvas").screenshot(path=tmp_path / name)
-        return np.asarray(Image.open(tmp_path / name).convert("RGB")).astype(int)
-
-    before = picture("before.png")
-    blue, orange = before[..., 2] - before[..., 0] > 60, before[..., 0] - before[..., 2] > 60
-    assert min(blue.sum(), orange.sum()) > 500  # the barrels of the lower and of the upper legs
-    page.locator("#live canvas").focus()
-    page.keyboard.press("ArrowLeft")
-    until(lambda: (np.abs(picture("after.png") - before) > 60).sum() > 1000, "another picture", page=page)
-
-
-def test_a_drag_turns_the_view(page) -> None:
-    box = page.locator("#live canvas").bounding_box()
-    label = page.locator(".live-labels span").first
-    before = label.get_attribute("style")
-    page.mouse.move(box["x"] + 50, box["y"] + 50)
-    page.mouse.down()
-    page.mouse.move(box["x"] + 150, box["y"] + 80)
-    page.mouse.up()
-    until(lambda: label.get_attribute("style") != before, "a label elsewhere", page=page)
-
-
-@pytest.mark.parametrize("distance", [-60.0, -600.0], ids=["within reach", "far away"])
-def test_the_platform_follows_a_drag_within_the_limits_of_the_legs(page, distance: float) -> None:
-    page.get_by_role("button", name="eight branches").click()
-    before = solved_in_python(page).physical()
-    start = handle(page)
-    page.mouse.move(*start)
-    page.mouse.down()
-    page.mouse.move(start[0] + distance, start[1] + 10.0, steps=10)
-    if distance == -60.0:
-        until(lambda: np.abs(handle(page) - start - [distance, 10.0]).max() < 2.0, "o below the pointer", page=page)
-    page.mouse.up()
-    found = check_what_is_shown(page).physical()
-    assert found.translation[1] < before.translation[1] - 0.1
-    assert (np.abs(found.leg_lengths - 1.3) <= 0.2 + 2e-4).all()  # the pose has four digits
-
-
-@pytest.mark.parametrize("drive", ["pose", "legs"])
-def test_a_drag_changes_the_legs_least_and_comes_back_to_where_it_began(browser, file: Path, drive: str) -> None:
+def test_a_drag_changes_the_legs_least_and_comes_back_to_where_it_began(browser, file: Path) -> None:
     with opened(browser, file, viewport={"width": 800, "height": 700}) as page:
         until(page.locator(".live-handle").is_visible, "the handle", page=page)
-        choose(page, drive)
+        choose(page, "legs")
         before = solved_in_python(page).physical()
         text = page.locator("#live pre").text_content()
         x, y = handle(page)
@@ -318,8 +215,7 @@ def test_a_drag_changes_the_legs_least_and_comes_back_to_where_it_began(browser,
             options={"ftol": 1e-12},
         )
         assert least.success
-        # Of four digits of a pose that is nearly level, as this one is, three remain in the legs.
-        np.testing.assert_allclose(found.leg_lengths, least.x, rtol=0.0, atol=2e-3 if drive == "pose" else 3e-4)
+        np.testing.assert_allclose(found.leg_lengths, least.x, rtol=0.0, atol=3e-4)
 
 
 def handle(page) -> np.ndarray:
@@ -327,38 +223,12 @@ def handle(page) -> np.ndarray:
     return np.array([box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]])
 
 
-def test_a_phone_shows_it_in_one_column(browser, file: Path) -> None:
-    with opened(browser, file, viewport={"width": 390, "height": 844}) as page:
-        until(lambda: page.locator("#live data").count() == 6, "leg lengths", page=page)
-        assert page.locator("#live").is_visible()
-        assert page.locator("img").is_hidden()
-        assert page.evaluate("document.documentElement.scrollWidth") <= 390
-        canvas, panel = (page.locator(name).bounding_box() for name in ("#live canvas", ".live-panel"))
-        assert panel["y"] >= canvas["y"] + canvas["height"]
-
-
-@pytest.mark.parametrize(
-    ("options", "script"),
-    [
-        ({"java_script_enabled": False}, ""),
-        ({}, "delete window.WebAssembly"),
-        ({}, "HTMLCanvasElement.prototype.getContext = () => null"),
-    ],
-    ids=["no scripts", "no WebAssembly", "no WebGL"],
-)
-def test_the_picture_stands_in_its_place(browser, file: Path, options: dict[str, bool], script: str) -> None:
-    with opened(browser, file, script, **options) as page:
+def test_the_picture_stands_in_its_place(browser, file: Path) -> None:
+    with opened(browser, file, "HTMLCanvasElement.prototype.getContext = () => null") as page:
         until(page.locator("img").is_visible, "the picture", page=page)
         assert page.locator("#live").is_hidden()
         page.goto((ROOT / "docs/live.html").as_uri())
         until(page.get_by_text("needs a browser with").is_visible, "what the page in one file needs", page=page)
-
-
-def test_all_of_it_is_below_200_kilobytes_and_names_no_other_place(file: Path) -> None:
-    text = file.read_text(encoding="utf-8")
-    assert len(text.encode()) < 200_000
-    assert (ROOT / "docs/site/live/live.js").stat().st_size < 32_000
-    assert not re.findall(r"https?://|@import|url\(", text)
 
 
 def test_the_lines_of_the_how_to_make_a_module_that_solves(page, module: bytes, tmp_path: Path) -> None:

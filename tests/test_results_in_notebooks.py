@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from xml.etree import ElementTree
 
 import numpy as np
@@ -66,14 +64,3 @@ def test_drawings_show_themselves() -> None:
     ax = draw(path.configurations[0], dpi=40.0)
     for picture in (path_figure(path), ax, ax.figure):
         assert picture._repr_png_().startswith(PNG)
-
-
-def test_tables_need_no_drawing_library() -> None:
-    program = """
-import sys
-sys.modules["matplotlib"] = None
-import spm_pin as spm
-print(spm.forward_physical(spm.Manipulator.paper(), [1.2, 1.2, 1.4, 1.25, 1.2, 1.5])._repr_html_())
-"""
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert "1.4000" in done.stdout

@@ -33,15 +33,11 @@ class Foreign:
 NONSENSE: dict[str, Any] = {
     "None": None,
     "a word": "nonsense",
-    "an empty word": "",
     "bytes": b"bytes",
     "a zero byte": "a\0b",
     "True": True,
     "a negative number": -1,
-    "zero": 0,
-    "a float": 1.5,
     "nan": np.nan,
-    "infinity": np.inf,
     "a huge float": 1e308,
     "a huge integer": 10**400,
     "a complex number": 1j,
@@ -50,11 +46,12 @@ NONSENSE: dict[str, Any] = {
     "words in a list": ["a", "b"],
     "an empty mapping": {},
     "an array of another shape": np.ones((2, 7)),
-    "an array of objects": np.array([None, "a"], dtype=object),
     "a masked array": np.ma.masked_array([1.0, 2.0], [True, False]),
     "a foreign object": Foreign(),
-    "a module": np,
 }
+
+REFUSED = "a word", "nan", "an empty list", "an array of another shape", "a foreign object"
+"""Values that hardly any argument may have: for callables of which an accepted call takes long."""
 
 PAPER = spm.Manipulator.paper()
 BUILT = PAPER.perturbed(5)
@@ -485,7 +482,8 @@ def test_malformed_arguments_give_a_result_or_an_error_that_names_them(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     wrong = []
-    values = [(kind, value, True) for kind, value in NONSENSE.items()] + [("None alone", None, False)]
+    kinds = REFUSED if is_slow(place) else NONSENSE
+    values = [(kind, NONSENSE[kind], True) for kind in kinds] + [("None alone", None, False)]
     for kind, value, complete in values:
         try:
             with within(60.0):
@@ -501,10 +499,9 @@ def test_malformed_arguments_give_a_result_or_an_error_that_names_them(
     assert not wrong, "\n".join(wrong)
 
 
-@pytest.mark.parametrize("complete", [False, True], ids=["needed arguments", "optional ones as well"])
-def test_the_examples_are_accepted(complete: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_examples_are_accepted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     for place, function in {place: function for place, function, _ in CASES}.items():
         if not is_slow(place):
-            call(place, function, "", None, complete=complete)
+            call(place, function, "", None, complete=True)
     spm.set_threads(None)

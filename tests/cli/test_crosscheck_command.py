@@ -14,36 +14,20 @@ from spm_pin.crosscheck.paper.jacobian import Table5Mistakes
 
 def test_all_methods_on_a_few_poses(tmp_path: Path) -> None:
     data, picture = tmp_path / "report.json", tmp_path / "report.svg"
-    done = run("crosscheck", "--poses", "10", "--seed", "3", "--out", str(data), "--figure", str(picture))
+    spm.Manipulator(0.7, 0.35, 0.8).to_yaml(tmp_path / "robot.yaml")
+    options = "--machine", tmp_path / "robot.yaml", "--out", data, "--figure", picture
+    done = run("crosscheck", "--poses", "4", "--seed", "3", *options)
     assert done.returncode == 0, done.stderr
+    assert f"--machine {tmp_path / 'robot.yaml'}" in done.stdout
     assert f"All {len(METHODS)} methods agree." in done.stdout
-    assert "spm-pin inverse --translation" in done.stdout
-    assert "…" not in done.stdout, "nothing is cut off at 80 columns"
     content = json.loads(data.read_text(encoding="utf-8"))
     assert content["agrees"] is True
     assert content["outliers"] == []
-    assert len(content["poses"]) == 10
+    assert len(content["poses"]) == 4
     assert {method["name"] for method in content["methods"]} == {name.replace("-", " ") for name in METHODS}
     assert all(pair["worst"] <= pair["tolerance"] for pair in content["differences"])
     assert content["differences"][0]["reproduce"].startswith("spm-pin inverse --translation")
     assert picture.read_text(encoding="utf-8").startswith("<?xml")
-
-
-def test_json_is_printed_alone() -> None:
-    done = run("crosscheck", "--poses", "2", "--method", "closed-form", "--method", "nlp", "--json")
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["agrees"] is True
-    assert "" not in done.stderr.splitlines(), "no trace of a progress bar"
-
-
-def test_one_method_has_no_differences_to_show() -> None:
-    assert "Largest difference" not in run("crosscheck", "--poses", "2", "--method", "closed-form").stdout
-
-
-def test_methods_that_know_the_drawing_alone_are_mentioned(tmp_path: Path) -> None:
-    spm.Manipulator.paper().perturbed(3).to_yaml(tmp_path / "built.yaml")
-    done = run("crosscheck", "--poses", "2", "--machine", tmp_path / "built.yaml")
-    assert "Left out, since they take nominal manipulators of RPS legs only, or their packages are not" in done.stdout
 
 
 def test_the_printed_lever_arm_fails_and_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -57,14 +41,6 @@ def test_the_printed_lever_arm_fails_and_is_named(monkeypatch: pytest.MonkeyPatc
     assert done.returncode == 1
     assert "paper is wrong: the others agree." in done.stdout
     assert json.loads(data.read_text(encoding="utf-8"))["outliers"] == ["paper"]
-
-
-def test_commands_name_the_geometry_they_are_for(tmp_path: Path) -> None:
-    path = tmp_path / "robot.yaml"
-    path.write_text("base_radius: 0.7\nplatform_radius: 0.35\nmiddle_side: 0.8\n", encoding="utf-8")
-    done = run("crosscheck", "--poses", "3", "--method", "closed-form", "--method", "nlp", "--machine", str(path))
-    assert done.returncode == 0, done.stderr
-    assert f"--machine {path}" in done.stdout
 
 
 def test_a_method_that_cannot_be_imported_is_mentioned(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -81,26 +57,8 @@ def test_a_method_that_cannot_be_imported_is_mentioned(monkeypatch: pytest.Monke
 def test_reproduce_prints_the_verdict_every_table_and_each_finding() -> None:
     done = run("reproduce", "--cells")
     assert done.returncode == 0, done.stderr
-    for words in (
-        "Table 1:",
-        "Table 4:",
-        "Table 5:",
-        "105 of the 120 cells of Tables 1 to 5",
-        "a shifted number",
-        "Eq. (17)",
-    ):
+    for words in ("Table 1:", "Table 4:", "Table 5:", "105 of the 120 cells of Tables 1 to 5", "Eq. (17)"):
         assert words in done.stdout.replace("\n", " "), words
-    assert "…" not in done.stdout, "nothing is cut off at 80 columns"
-
-
-def test_reproduce_writes_json(tmp_path: Path) -> None:
-    target = tmp_path / "tables.json"
-    assert run("reproduce", "--table", "3", "--out", str(target)).returncode == 0
-    text = target.read_text(encoding="utf-8")
-    assert run("reproduce", "--table", "3", "--json").stdout == text
-    content = json.loads(text)
-    assert {cell["table"] for cell in content["cells"]} == {3}
-    assert [cell["column"] for cell in content["cells"] if cell["verdict"] == "misprint"] == ["5"]
 
 
 def test_reproduce_fails_on_a_difference_nothing_explains(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -47,43 +47,13 @@ def test_numbers_describe_a_machine_and_a_file_keeps_it(
     assert type(expected).from_yaml(file) == expected
 
 
-def test_a_manipulator_of_numbers_is_that_of_its_file(tmp_path: Path) -> None:
-    file = tmp_path / "machine.yaml"
-    spm.Manipulator(0.7, 0.35, 0.8, spm.LegLimits(1.1, 1.5)).to_yaml(file)
-    of_file = run("inverse", *running.POSE, "--machine", file, "--unit", "cm", "--json")
-    of_numbers = run("inverse", *running.POSE, *ROBOT, "--limits", "110", "150", "--json")
-    assert of_numbers == of_file
-    assert json.loads(of_file.stdout)["branches"]
-
-
-def test_limits_replace_those_of_a_file(tmp_path: Path) -> None:
-    file = tmp_path / "stage.yaml"
-    spm.Stage(0.08, 0.09, STAGE.kind, limits=(-0.6, 1.2)).to_yaml(file)
-    done = run("stage", "inverse", "--machine", file, "--tilt", "10", "--limits", "-1", "1", "--json")
-    assert done.returncode == 5
-    assert len(json.loads(done.stdout)["branches"][0]["beyond_limits"]) > 0
-
-
 def test_a_command_for_the_other_kind_is_named(tmp_path: Path) -> None:
     STAGE.to_yaml(tmp_path / "stage.yaml")
-    commands = (["inverse", *running.POSE], ["draw", "--out", tmp_path / "x.png"], ["forward", *running.LEGS])
+    commands = (["inverse", *running.POSE], ["draw", "--out", tmp_path / "x.png"])
     for command, machine in itertools.product(commands, (["--machine", tmp_path / "stage.yaml"], SIZES)):
         done = run(*command, *machine)
         assert done.returncode == 2
         assert "expected a manipulator, got a stage. For a stage: spm-pin stage" in done.message
-
-
-def test_options_of_a_manipulator_alone_are_refused_for_a_stage() -> None:
-    for command, option in (
-        ("forward", "--rpy"),
-        ("draw", "--width"),
-        ("view", "--path"),
-        ("sweep", "--xyx"),
-        ("certify", "--inverse"),
-    ):
-        done = run("stage", command, *SIZES, option)
-        assert done.returncode == 2
-        assert f"No such option: {option}" in done.message
 
 
 def test_forces_and_rates_of_a_stage() -> None:
@@ -100,16 +70,6 @@ def test_forces_and_rates_of_a_stage() -> None:
     np.testing.assert_allclose(again["branches"]["T"]["forces"], branch["forces"], rtol=1e-6)
     refused = run("stage", "statics", *SIZES, "--velocity", "1", "0", "0")
     assert "expected a velocity along Z and turns about X and Y" in refused.message
-
-
-def test_singularities_of_a_stage() -> None:
-    state = spm.inverse_physical(STAGE, 0.12, tilt=np.radians(10.0), azimuth=0.0)
-    done = run("stage", "singularities", *SIZES, "--height", "120", "--tilt", "10", "--json")
-    branch = json.loads(done.stdout)["branches"]["T"]
-    analysis = spm.singularities(state)
-    assert branch["kind"] == "regular"
-    np.testing.assert_allclose(list(branch["distance"].values()), analysis.sigma, rtol=1e-9)
-    assert branch["slope"]["leg"] == pytest.approx(analysis.leg.min())
 
 
 def test_the_nearest_tilt_of_a_stage_is_reached() -> None:
@@ -130,10 +90,3 @@ def test_a_stage_moves_between_tilts_by_their_options() -> None:
     expected = spm.inverse_physical(STAGE, 0.12, tilt=np.radians([0.0, 10.0]), azimuth=0.0).readings
     found = np.array([content[name] for name in STAGE.legs.names])[:, [0, -1]].T
     np.testing.assert_allclose(found, expected, atol=1e-9)
-
-
-def test_a_stage_is_exported_and_swept_by_its_own_command(tmp_path: Path) -> None:
-    assert run("stage", "export", "urdf", *SIZES).stdout == spm.description.urdf_text(STAGE)
-    tilts = ["--height", "120:130:2", "--tilt", "0", "--azimuth", "0"]
-    done = run("stage", "sweep", *SIZES, *tilts, "--metric", "reachable", "--workers", 1, "--out", tmp_path / "map")
-    assert done.returncode == 0, done.stderr

@@ -82,15 +82,6 @@ def test_limits_of_cranks_in_radians_are_said_and_no_unit_of_length_is_hinted_at
         assert "cm" not in run(*command, *geometry).message
 
 
-def test_limits_of_a_stage_are_certified_in_degrees(tmp_path: Path) -> None:
-    servos = Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35))
-    spm.Manipulator.of_stages(servos, servos).to_yaml(tmp_path / "servos.yaml")
-    done = run("certify", "--limits", "20", "30", "--machine", tmp_path / "servos.yaml")
-    assert done.returncode == 0, done.stderr
-    assert "Readings from 20° to 30°" in done.stdout
-    assert "nor is a leg singular itself" in done.stdout
-
-
 def test_what_is_outside_the_limits_is_starred_in_its_own_unit(file: Path) -> None:
     done = run("forward", "--legs", "60", *TYPED[1:], "--unit", "mm", "--machine", file)
     assert done.returncode == 5

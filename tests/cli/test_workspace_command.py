@@ -18,54 +18,35 @@ from PIL import Image
 from stores import contents, records
 
 import spm_pin as spm
-from spm_pin.crosscheck.paper_shell import workspace_shell
-from spm_pin.machine import RRS, Stage
 from spm_pin.sweeps import METRICS, leg_sample, pose_grid
 
 FEW = ["workspace", "--paper", "--resolution", "6"]
 
 
 def test_workspace_prints_the_patches_the_volume_and_its_convergence() -> None:
-    done = run("workspace", "--paper", "--limits", "110", "150", "--unit", "cm", "--resolution", "20")
+    done = run(*FEW, "--limits", "110", "150", "--unit", "cm")
     assert done.returncode == 0, done.stderr
     out = done.stdout
     rows = {line.split()[0]: line.split()[1:] for line in out.splitlines() if line.strip().startswith("S")}
     assert len(rows) == 24
     assert rows["St3"][:6] == ["max", "min~max", "min~max", "max", "max", "max"]
     assert float(rows["St1"][6]) == pytest.approx(8473.9, rel=1e-2)
-    assert "legs from 110 to 150 cm" in out
-    assert "V - E + F = 9602 - 28800 + 19200 = 2" in out
     assert "misprints read: r_b1 of St3, r_b3 of Sm3, r_b3 of Sm5" in out
     (volume,) = [line for line in out.splitlines() if line.startswith("volume")]
     _, value, _, error, unit = volume.split()
     assert float(value) == pytest.approx(1.653e6, rel=1e-3)
-    assert float(error) < 100.0
+    assert 0.0 < float(error) < 1e3
     assert unit == "cm³"
-    assert "…" not in out, "nothing is cut off at 80 columns"
-
-
-@pytest.mark.parametrize(("unit", "factor"), [("m", 1.0), ("cm", 100.0), ("mm", 1000.0)])
-def test_json_in_every_unit(unit: str, factor: float) -> None:
-    limits = [f"{1.1 * factor:g}", f"{1.4 * factor:g}"]
-    content = json.loads(run(*FEW, "--limits", *limits, "--unit", unit, "--json").stdout)
-    shell = workspace_shell(spm.Manipulator.paper(), spm.LegLimits(1.1, 1.4), resolution=6)
-    assert content["unit"] == unit
-    assert content["euler_characteristic"] == 2
-    np.testing.assert_allclose(content["limits"]["maximum"], 1.4 * factor)
-    assert content["volume"] == pytest.approx(shell.volume * factor**3, rel=1e-9)
-    assert content["area"] == pytest.approx(shell.area * factor**2, rel=1e-9)
-    assert [step["resolution"] for step in content["convergence"]] == [2, 3, 6]
-    assert content["patches"][1]["settings"]["r_b3"] == "min~max"
 
 
 def test_workspace_finds_what_this_machine_reaches(tmp_path: Path) -> None:
     machine, path = spm.Manipulator.paper().perturbed(1, length=5e-3, angle=5e-3), tmp_path / "built.yaml"
     machine.to_yaml(path)
-    options = ["--machine", str(path), "--unit", "cm", "--spacing", "40"]
+    options = ["--machine", str(path), "--unit", "cm", "--spacing", "80"]
     done = run("workspace", *options, "--out", str(tmp_path / "reached.stl"), "--json")
     assert done.returncode == 0, done.stderr
     content = json.loads(done.stdout)
-    boundary = spm.workspace.reachable_boundary(machine, spacing=0.2)
+    boundary = spm.workspace.reachable_boundary(machine, spacing=0.4)
     mesh = trimesh.load_mesh(tmp_path / "reached.stl")
     assert mesh.is_watertight
     assert mesh.volume == pytest.approx(boundary.volume, rel=1e-5)
@@ -74,56 +55,25 @@ def test_workspace_finds_what_this_machine_reaches(tmp_path: Path) -> None:
     assert "misprints" not in done.stdout
 
 
-def test_the_ending_of_the_file_selects_the_mesh_format(tmp_path: Path) -> None:
-    """Which endings there are is tested with the function that writes."""
-    done = run(*FEW, "--out", str(tmp_path / "SHELL.STL"))
+def test_out_draws_sections_of_the_shell(tmp_path: Path) -> None:
+    done = run(*FEW, "--sections", "--samples", "2000", "--out", tmp_path / "sections.png")
     assert done.returncode == 0, done.stderr
-    assert f"wrote {tmp_path / 'SHELL.STL'}" in "".join(done.stderr.splitlines())
-    mesh = trimesh.load_mesh(tmp_path / "SHELL.STL")
-    assert mesh.is_watertight
-    assert mesh.bounds[1, 2] == pytest.approx(2.9777, abs=1e-3)
+    with Image.open(tmp_path / "sections.png") as picture:
+        assert picture.size[0] == 1530
 
 
-def test_out_draws_the_shell_or_its_sections(tmp_path: Path) -> None:
-    views, cuts = tmp_path / "fig2.png", tmp_path / "sections.png"
-    assert run(*FEW, "--out", str(views)).returncode == 0
-    done = run(*FEW, "--sections", "--samples", "2000", "--out", str(cuts))
-    assert done.returncode == 0, done.stderr
-    sizes = []
-    for path in (views, cuts):
-        with Image.open(path) as picture:
-            sizes.append(picture.size)
-    assert sizes[0] == (1350, 1110)
-    assert sizes[1][0] == 1530
-
-
-def test_limits_from_the_geometrys_file(tmp_path: Path) -> None:
+def test_limits_from_the_file_of_the_machine(tmp_path: Path) -> None:
     path = tmp_path / "robot.yaml"
-    text = "base_radius: 0.7\nplatform_radius: 0.35\nmiddle_side: 0.8\n"
-    path.write_text(text, encoding="utf-8")
-    done = run(*FEW, "--machine", str(path))
+    machine = spm.Manipulator(0.7, 0.35, 0.8)
+    machine.to_yaml(path)
+    done = run(*FEW, "--machine", path)
     assert done.returncode == 2
     assert done.message.startswith("error: --limits: ")
-    assert "The machine has none of its own" in done.message
-    pairs = {leg: "[1.1, 1.5]" if leg.startswith("r_b") else "[1.2, 1.4]" for leg in spm.machine.LEGS}
-    limits = ", ".join(f"{leg}: {pair}" for leg, pair in pairs.items())
-    path.write_text(f"{text}leg_limits: {{{limits}}}\n", encoding="utf-8")
+    limits = spm.LegLimits([1.1] * 3 + [1.2] * 3, [1.5] * 3 + [1.4] * 3)
+    spm.Manipulator(0.7, 0.35, 0.8, limits).to_yaml(path)
     assert "legs from 1.1, 1.1, 1.1, 1.2, 1.2, 1.2 to 1.5, 1.5, 1.5, 1.4, 1.4, 1.4 m" in run(
-        *FEW, "--machine", str(path)
+        *FEW, "--machine", path
     ).stdout.replace("\n", " ")
-
-
-def test_readings_of_cranks_are_typed_in_degrees_whatever_the_unit(tmp_path: Path) -> None:
-    stage = Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35), limits=(0.0, 1.0))
-    spm.Manipulator.of_stages(stage, stage).to_yaml(tmp_path / "servos.yaml")
-    options = ["--machine", tmp_path / "servos.yaml", "--unit", "mm", "--workers", 1, "--limits", 10, 60]
-    output("--legs", "20:40:3", "--legs", "30", *options, "--metric", "reachable", "--out", tmp_path / "map")
-    stored = xarray.open_zarr(tmp_path / "map")
-    np.testing.assert_allclose(stored.r_b1, np.deg2rad([20.0, 30.0, 40.0]), rtol=1e-15)
-    assert float(stored.r_c1) == pytest.approx(np.deg2rad(30.0))
-    assert stored.r_b1.attrs["units"] == "rad"
-    limits = json.loads(stored.attrs["spm_pin_sweep"])["geometry"]["leg_limits"]
-    np.testing.assert_allclose(limits, np.deg2rad([10.0, 60.0]))
 
 
 POSES = ["--x", "37:44:4", "--y", "-16:-12:3", "--z", "250", "--xyx", "1", "17:20:2", "6", "--unit", "cm"]
@@ -161,12 +111,6 @@ def test_lengths_in_the_wrong_unit_are_noticed(tmp_path: Path) -> None:
     assert "--unit" not in output(*POSES, "--out", tmp_path / "right", "--workers", 1)
 
 
-def test_default_metrics_are_used(tmp_path: Path) -> None:
-    out = output(*POSES, "--out", tmp_path / "map", "--workers", 1)
-    assert "metrics: branches, conditioning, reachable" in out
-    assert "1 of 1 chunks complete open with: xarray.open_zarr(" in out
-
-
 def test_parameters_of_metrics(tmp_path: Path) -> None:
     output(
         *[*POSES, "--out", tmp_path / "a", "--workers", 1, "--limits", 115, 145],
@@ -185,16 +129,9 @@ def test_parameters_of_metrics(tmp_path: Path) -> None:
     assert definition["geometry"]["leg_limits"] == [1.15, 1.45]
 
 
-@pytest.mark.parametrize(
-    ("legs", "ranges"),
-    [
-        (["110:150"], [(1.1, 1.5)] * 6),
-        (["110:150", "120"], [(1.1, 1.5)] * 3 + [1.2] * 3),
-        (["110", "120", "110:130", "110", "120", "130"], [1.1, 1.2, (1.1, 1.3), 1.1, 1.2, 1.3]),
-    ],
-)
-def test_samples_of_leg_lengths(legs: list[str], ranges: list[float], tmp_path: Path) -> None:
-    options = [part for text in legs for part in ("--legs", text)]
+def test_samples_of_leg_lengths(tmp_path: Path) -> None:
+    ranges = [1.1, 1.2, (1.1, 1.3), 1.1, 1.2, 1.3]
+    options = [part for text in ("110", "120", "110:130", "110", "120", "130") for part in ("--legs", text)]
     out = output(
         *[*options, "--samples", 30, "--seed", 7, "--unit", "cm", "--metric", "o_z"],
         *["--out", tmp_path / "map", "--workers", 1],
@@ -266,15 +203,3 @@ def test_a_sweep_of_a_stage(tmp_path: Path) -> None:
         assert result.returncode == 2
         assert named in result.stderr
     assert "--height" in run("sweep", "--height", "1:2:3", "--out", tmp_path / "none").stderr
-
-
-def test_a_search_for_a_stage(tmp_path: Path) -> None:
-    pytest.importorskip("pymoo")
-    stage = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), limits=(-0.3, 0.6))
-    stage.to_yaml(tmp_path / "stage.yaml")
-    options = ["--free", "crank:0.03:0.07", "--maximise", "volume", "--at-least", "assembled:1"]
-    small = ["--population", 4, "--generations", 2, "--states", 32, "--choose", 0, "--out", tmp_path / "best.yaml"]
-    done = run("design", tmp_path / "front.json", "--machine", tmp_path / "stage.yaml", *options, *small)
-    assert done.returncode == 0, done.output
-    assert "volume [m sr]" in done.stdout
-    assert 0.03 <= spm.Stage.from_yaml(tmp_path / "best.yaml").kind.crank <= 0.07  # type: ignore[attr-defined]

@@ -2,25 +2,18 @@
 
 from __future__ import annotations
 
-import sys
 from collections import Counter
-from collections.abc import Sequence
-from itertools import pairwise
 
 import numpy as np
 import pytest
 from error_fields import with_fields
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.stats import binomtest
 
 import spm_pin as spm
 from spm_pin.crosscheck.paper import published
 from spm_pin.crosscheck.paper_shell import (
     ERRATA,
-    LegSetting,
     Shell,
-    SubWorkspace,
     sub_workspaces,
     workspace_shell,
 )
@@ -104,40 +97,16 @@ def test_the_papers_volume_and_its_convergence() -> None:
     assert abs(shell.mesh.volume - exact) > 100.0 * shell.volume_error
 
 
-@pytest.mark.parametrize("resolution", [3, 5, 9, 16])
-def test_the_error_estimate_covers_the_error(resolution: int) -> None:
-    shell = workspace_shell(PAPER, resolution=resolution)
+def test_the_error_estimate_covers_the_error() -> None:
+    shell = workspace_shell(PAPER, resolution=5)
     assert abs(shell.volume - flux(SHELL)) < shell.volume_error
-
-
-@pytest.mark.filterwarnings("ignore:.*another unit")
-@settings(max_examples=12)
-@given(
-    st.floats(0.4, 0.9),
-    st.floats(0.3, 0.9),
-    st.floats(0.7, 1.0),
-    st.lists(st.tuples(st.floats(1.2, 1.26), st.floats(1.3, 1.36)), min_size=6, max_size=6),
-    st.floats(1e-3, 1e3),
-)
-def test_scaled_machines_have_scaled_shells(
-    base: float, platform: float, side: float, ends: list[tuple[float, float]], scale: float
-) -> None:
-    low, high = zip(*ends, strict=True)
-    shell = workspace_shell(spm.Manipulator(base, platform, side), spm.LegLimits(low, high), resolution=4)
-    limits = spm.LegLimits([scale * x for x in low], [scale * x for x in high])
-    scaled = workspace_shell(spm.Manipulator(scale * base, scale * platform, scale * side, limits), resolution=4)
-    assert scaled.volume == pytest.approx(scale**3 * shell.volume, rel=1e-9)
-    assert scaled.area == pytest.approx(scale**2 * shell.area, rel=1e-9)
-    np.testing.assert_allclose(scaled.vertices, scale * shell.vertices, rtol=0.0, atol=1e-11 * scale)
-    assert shell.volume > 0.0
-    assert shell.euler_characteristic == 2
 
 
 def test_inside_is_where_rays_say_and_distance_is_that_to_the_nearest_point_of_the_mesh() -> None:
     low, high = SHELL.vertices.min(axis=0) - 0.05, SHELL.vertices.max(axis=0) + 0.05
-    points = np.random.default_rng(0).uniform(low, high, (40_000, 3))
+    points = np.random.default_rng(0).uniform(low, high, (5_000, 3))
     np.testing.assert_array_equal(SHELL.contains(points), SHELL.mesh.contains(points))
-    points = points[:200]
+    points = points[:100]
     distance = SHELL.distance(points)
     triangles = SHELL.mesh.triangles
     from trimesh.triangles import closest_point
@@ -151,16 +120,12 @@ def test_inside_is_where_rays_say_and_distance_is_that_to_the_nearest_point_of_t
     assert SHELL.distance(np.zeros((2, 0, 3))).shape == (2, 0)
 
 
-@pytest.mark.parametrize(
-    ("count", "resolution", "least", "most"),
-    [(20_000, 24, 0.0, 0.004), pytest.param(1_000_000, 80, 0.0014, 0.0019, marks=pytest.mark.slow)],
-)
-def test_some_reachable_points_lie_outside_the_shell(count: int, resolution: int, least: float, most: float) -> None:
-    legs = np.random.default_rng(6).uniform(1.1, 1.5, (count, 6))
+def test_some_reachable_points_lie_outside_the_shell() -> None:
+    legs = np.random.default_rng(6).uniform(1.1, 1.5, (20_000, 6))
     positions = spm.forward_physical(PAPER, legs).translation
-    beyond = int(np.count_nonzero(~workspace_shell(PAPER, resolution=resolution).contains(positions)))
-    interval = binomtest(beyond, count).proportion_ci(0.999, "exact")
-    assert least < interval.low < interval.high < most
+    beyond = int(np.count_nonzero(~workspace_shell(PAPER, resolution=24).contains(positions)))
+    interval = binomtest(beyond, 20_000).proportion_ci(0.999, "exact")
+    assert 0.0 < interval.low < interval.high < 0.004
 
 
 def test_limits_may_differ_from_leg_to_leg() -> None:
@@ -175,36 +140,19 @@ def test_limits_may_differ_from_leg_to_leg() -> None:
     assert SHELL.contains(shell.mesh.triangles_center).mean() > 0.9
 
 
-def test_arrays_are_read_only_and_the_shell_says_what_it_is() -> None:
-    for array in (SHELL.vertices, SHELL.faces, SHELL.patches[0].grid, SHELL.patches[0].faces):
-        with pytest.raises(ValueError, match="read-only"):
-            array[0] = 0
-    assert repr(SHELL) == "<Shell: 24 patches, 6146 vertices, 12288 faces, 1.6529 m³>"
-
-
 @pytest.mark.parametrize(
-    ("machine", "limits", "says"),
+    ("machine", "limits"),
     [
-        (spm.Manipulator(0.7, 0.35, 0.8), None, "The machine has none"),
-        (PAPER, spm.LegLimits(0.0, 1.5), "a positive minimum for every leg"),
-        (PAPER, spm.LegLimits(1.1, np.inf), "infinity for r_b1"),
-        (PAPER, spm.LegLimits(0.05, 0.1), "26 of 26 vertices .* Too short to join the platforms"),
-        (PAPER, spm.LegLimits(0.3, 4.0), "vertices without a physical configuration, as at r_b1 = 0.3"),
+        (spm.Manipulator(0.7, 0.35, 0.8), None),
+        (PAPER, spm.LegLimits(0.0, 1.5)),
+        (PAPER, spm.LegLimits(1.1, np.inf)),
+        (PAPER, spm.LegLimits(0.05, 0.1)),
+        (PAPER, spm.LegLimits(0.3, 4.0)),
     ],
 )
-def test_limits_and_geometries_without_a_shell(machine: object, limits: object, says: str) -> None:
-    with pytest.raises(spm.ArgumentError, match=says):
-        workspace_shell(machine, limits, resolution=4)  # type: ignore[arg-type]
-
-
-def test_without_trimesh_all_but_the_mesh_works(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "trimesh", None)
-    shell = workspace_shell(PAPER, resolution=4)
-    assert shell.contains([0.0, 0.0, 2.5])
-    with pytest.raises(spm.errors.MissingExtraError, match="workspace"):
-        _ = shell.mesh
-    with pytest.raises(spm.errors.MissingExtraError, match="workspace"):
-        shell.distance([0.0, 0.0, 2.5])
+def test_limits_and_machines_without_a_shell(machine: spm.Manipulator, limits: spm.LegLimits | None) -> None:
+    with pytest.raises(spm.ArgumentError, check=with_fields(argument="limits")):
+        workspace_shell(machine, limits, resolution=4)
 
 
 # --- Table 6: every cell is legible or a misprint named, and its rows close to a sphere ------------------------------
@@ -212,13 +160,8 @@ def test_without_trimesh_all_but_the_mesh_works(monkeypatch: pytest.MonkeyPatch)
 ROWS = sub_workspaces()
 
 
-def test_every_row_has_four_legs_at_limits_and_two_that_vary() -> None:
-    assert len(ROWS) == len({row.settings for row in ROWS}) == 24
-    assert all(row.settings.count(LegSetting.VARIES) == 2 for row in ROWS)
-    assert Counter(row.family for row in ROWS) == {"St": 3, "Sc": 9, "Sm": 9, "Sl": 3}
-
-
 def test_only_the_misprints_named_are_misprints() -> None:
+    assert Counter(row.family for row in ROWS) == {"St": 3, "Sc": 9, "Sm": 9, "Sl": 3}
     found = {}
     for name, *cells in published.TABLE_6:
         for leg, cell in zip(spm.machine.LEGS, cells, strict=True):
@@ -226,24 +169,3 @@ def test_only_the_misprints_named_are_misprints() -> None:
             if cell.replace("~", " ").split() not in ([low], [high], [low, high]):
                 found[name, leg] = cell
     assert found == ERRATA
-
-
-def shared_edges(rows: Sequence[SubWorkspace]) -> Counter[frozenset[tuple[int, ...]]]:
-    """Count the sides of rows by their ends, 0 at a minimum and 1 at a maximum."""
-    rings = (([row.increments(1)[at] for at in ((0, 0), (1, 0), (1, 1), (0, 1), (0, 0))]) for row in rows)
-    return Counter(frozenset((tuple(a), tuple(b))) for ring in rings for a, b in pairwise(ring))
-
-
-def test_other_corrections_of_a_misprint_open_the_surface() -> None:
-    assert set(shared_edges(ROWS).values()) == {2}
-    other = {
-        LegSetting.MINIMUM: LegSetting.MAXIMUM,
-        LegSetting.MAXIMUM: LegSetting.MINIMUM,
-        LegSetting.VARIES: LegSetting.MINIMUM,
-    }
-    for name, leg in ERRATA:
-        (k,) = [k for k, row in enumerate(ROWS) if row.name == name]
-        settings = list(ROWS[k].settings)
-        settings[spm.machine.LEGS.index(leg)] = other[settings[spm.machine.LEGS.index(leg)]]
-        if settings.count(LegSetting.VARIES) == 2:
-            assert set(shared_edges([*ROWS[:k], SubWorkspace(name, tuple(settings)), *ROWS[k + 1 :]]).values()) != {2}

@@ -1,15 +1,14 @@
 from __future__ import annotations
 
-import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 import pytest
-from cli.running import run
-from problems import MANIPULATORS, PAPER
+from error_fields import with_fields
+from problems import PAPER
 from scipy.spatial.transform import RigidTransform
 
 import spm_pin as spm
@@ -32,16 +31,15 @@ from spm_pin.crosscheck.random_poses import in_leg_space, on_all_rotations
 
 @pytest.fixture(scope="module")
 def report() -> Report:
-    return compare_methods(PAPER, poses=20, seed=2)
+    return compare_methods(PAPER, poses=6, seed=2)
 
 
 def test_all_methods_agree(report: Report) -> None:
     assert report.agrees
     assert report.outliers == ()
     assert report.verdict == f"All {len(METHODS)} methods agree."
-    assert replace(report, scores=report.scores[:2]).verdict == "Both methods agree."
-    assert 15 < report.reached <= 20
-    assert report.states > 80
+    assert 4 <= report.reached <= 6
+    assert report.states > 20
     assert all(pair.disagreements == 0 and pair.ratio < 1.0 for pair in report.differences)
 
 
@@ -62,19 +60,6 @@ def test_a_seed_makes_the_same_report(report: Report) -> None:
     assert first.scores == again.scores
     other = compare_methods(PAPER, poses=10, seed=6, methods=names)
     assert (other.requests["translation"] != first.requests["translation"]).any()
-
-
-def test_command_of_a_report_solves_its_pose(report: Report) -> None:
-    worst = report.worst
-    words = shlex.split(report.command(worst.pose))
-    numbers = np.array([float(word) for word in words if word[-1].isdigit()])
-    np.testing.assert_array_equal(
-        numbers, [*report.requests["translation"][worst.pose], *report.requests["xyx"][worst.pose]]
-    )
-    again = spm.inverse_displacement(PAPER, spm.pose(numbers[:3], xyx=np.deg2rad(numbers[3:])))
-    assert again[worst.branch].exists
-    assert f"{again.count} of 8 branches real" in run(*words[1:]).stdout
-    assert report.command(worst.pose, "my robot.yaml").endswith(" --machine 'my robot.yaml'")
 
 
 @contextmanager
@@ -109,16 +94,6 @@ class Forgetful(ClosedForm):
         return solutions.where(keep)
 
 
-@dataclass
-class Inaccurate(ClosedForm):
-    """Right to eight digits where sixteen are stated."""
-
-    name: str = "inaccurate"
-
-    def inverse_jacobian(self, configuration: spm.Configuration) -> np.ndarray:
-        return spm.inverse_jacobian(configuration) * (1.0 + 1e-8)
-
-
 def test_a_flipped_sign_in_one_loop_equation_is_found() -> None:
     with flipped_sign():
         methods: list[Method] = [ClosedForm(PAPER), Paper(PAPER), Pinocchio(PAPER), Nlp(PAPER)]
@@ -137,7 +112,7 @@ def test_a_flipped_sign_in_one_loop_equation_is_found() -> None:
 
 def test_the_printed_lever_arm_is_found() -> None:
     wrong = Paper(PAPER, mistakes=Table5Mistakes(printed_lever_arm=True))
-    found = compare_methods(PAPER, poses=10, methods=["closed-form", "pinocchio", "nlp", wrong])
+    found = compare_methods(PAPER, poses=10, methods=["closed-form", "pinocchio", wrong])
     assert found.outliers == ("paper",)
     for pair in found.differences:
         wrong_pair = "paper" in (pair.first, pair.second) and pair.quantity in (Quantity.JACOBIAN, Quantity.FORCES)
@@ -167,38 +142,13 @@ def test_misses_within_the_stated_rate_are_no_fault() -> None:
     assert score.missed >= 3
 
 
-def test_an_answer_with_half_the_digits_is_an_outlier() -> None:
-    found = compare_methods(PAPER, poses=20, methods=["closed-form", "nlp", "paper", Inaccurate(PAPER)])
-    assert found.outliers == ("inaccurate",)
-
-
-def test_two_methods_that_contradict_each_other_are_both_outliers() -> None:
-    wrong = Paper(PAPER, mistakes=Table5Mistakes(printed_lever_arm=True))
-    found = compare_methods(PAPER, poses=5, methods=["closed-form", wrong])
-    assert set(found.outliers) == {"closed form", "paper"}
-    assert "a third method can decide" in found.verdict
-
-
 @pytest.mark.parametrize(
-    ("methods", "words"),
-    [
-        (["pinocchio"], "one at least that solves the inverse displacement"),
-        (["delphi"], "methods: expected names among closed-form"),
-        (["paper", "paper"], "methods with different names"),
-    ],
+    "methods",
+    [["pinocchio"], ["delphi"], ["paper", "paper"]],
 )
-def test_bad_methods_are_refused(methods: list[str], words: str) -> None:
-    with pytest.raises(spm.ArgumentError, match=words):
+def test_bad_methods_are_refused(methods: list[str]) -> None:
+    with pytest.raises(spm.ArgumentError, check=with_fields(argument="methods")):
         compare_methods(PAPER, poses=2, methods=methods)
-
-
-def test_progress_names_the_method_and_counts_poses() -> None:
-    steps: list[tuple[str, int, int]] = []
-    compare_methods(PAPER, poses=13, methods=["closed-form", "paper"], progress=lambda *step: steps.append(step))
-    assert steps[0] == ("closed form: branches", 0, 13)
-    assert ("paper: branches", 10, 13) in steps
-    assert ("closed form: Jacobians and forces", 10, 13) in steps
-    assert steps[-1] == ("compared", 13, 13)
 
 
 def test_each_batch_reports_all_poses_so_far() -> None:
@@ -228,20 +178,17 @@ def test_a_slow_method_gets_its_share_spread_over_all_poses() -> None:
     assert whole.scores[1].missed == 0
 
 
-@pytest.mark.parametrize("name", MANIPULATORS)
-def test_poses_in_leg_space_have_a_branch_there(name: str) -> None:
-    machine = MANIPULATORS[name]
+def test_poses_in_leg_space_have_a_branch_there() -> None:
+    machine = PAPER
     poses = in_leg_space(machine, 60, np.random.default_rng(0))
     assert poses.shape == (60,)
     branches = spm.inverse_displacement(machine, poses)
-    assert branches.exists.any(axis=-1).all()
-    if machine.limits is not None:
-        inside = branches.within()
-        assert inside.count.min() >= 1
-        # Drawn uniformly: the legs of those branches fill their range.
-        legs = inside.leg_lengths[inside.exists]
-        width = np.array(machine.limits.maximum) - machine.limits.minimum
-        assert (np.ptp(legs, axis=0) > 0.8 * width).all()
+    inside = branches.within()
+    assert inside.count.min() >= 1
+    # Drawn uniformly: the legs of those branches fill their range.
+    legs = inside.leg_lengths[inside.exists]
+    width = np.array(machine.limits.maximum) - machine.limits.minimum
+    assert (np.ptp(legs, axis=0) > 0.8 * width).all()
 
 
 def test_rotations_are_uniform_and_some_poses_out_of_reach() -> None:

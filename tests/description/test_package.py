@@ -12,8 +12,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 import pytest
-import yaml
-from description.kinematic_tree import KinematicTree, named_states
+from description.kinematic_tree import named_states
 
 import spm_pin as spm
 from spm_pin import description
@@ -21,15 +20,6 @@ from spm_pin.description import urdf_text
 
 PACKAGE = Path(description.PACKAGE_PATH)
 LAUNCH = PACKAGE / "launch" / "display.launch.py"
-
-
-def test_constants_are_paths_of_what_they_name() -> None:
-    suffixes = {"URDF": ".urdf", "XACRO": ".xacro", "SRDF": ".srdf", "MJCF": ".xml", "SDF": ".sdf", "CLOSURES": ".yaml"}
-    for name, suffix in suffixes.items():
-        path = Path(getattr(description, f"{name}_PATH"))
-        assert path.is_file()
-        assert path.is_absolute()
-        assert (path.suffix, path.parent) == (suffix, PACKAGE)
 
 
 def test_package_xml() -> None:
@@ -68,15 +58,6 @@ def test_everything_is_installed() -> None:
     assert listed == {path.name for path in PACKAGE.iterdir()} - of_ament
 
 
-def test_rviz_shows_the_robot_in_its_base() -> None:
-    content = yaml.safe_load((PACKAGE / "rviz" / "spm.rviz").read_text(encoding="utf-8"))
-    manager = content["Visualization Manager"]
-    assert manager["Global Options"]["Fixed Frame"] == KinematicTree(urdf_text()).base
-    (robot,) = [each for each in manager["Displays"] if each["Class"].endswith("/RobotModel")]
-    assert robot["Description Topic"]["Value"] == "/robot_description"
-    assert robot["Description Topic"]["Durability Policy"] == "Transient Local"  # as its publisher sends it
-
-
 def launched(**given: str) -> list[Any]:
     """The nodes of the launch file, run against stand-ins for the packages of ROS."""
 
@@ -109,8 +90,7 @@ def launched(**given: str) -> list[Any]:
     return nodes
 
 
-@pytest.mark.parametrize("prefix", ["", "left_"])
-@pytest.mark.parametrize("state", ["home", "solution_7"])
+@pytest.mark.parametrize(("prefix", "state"), [("", "home"), ("left_", "solution_7")])
 def test_launch(prefix: str, state: str) -> None:
     publisher, joints, rviz = launched(prefix=prefix, state=state)
     assert publisher.package == "robot_state_publisher"

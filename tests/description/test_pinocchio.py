@@ -16,10 +16,7 @@ from spm_pin.description import (
     CLOSURES_PATH,
     SRDF_PATH,
     URDF_PATH,
-    Closure,
     joint_values,
-    read_closures,
-    urdf_text,
 )
 
 pin = pytest.importorskip("pinocchio")
@@ -28,23 +25,6 @@ pin = pytest.importorskip("pinocchio")
 @pytest.fixture
 def model() -> Any:
     return pin.buildModelFromUrdf(URDF_PATH)
-
-
-@pytest.mark.parametrize("prefix", ["", "p_"])
-def test_the_four_balls(prefix: str) -> None:
-    pairs = [("middle_b2", "leg_b2_tip"), ("middle_b3", "leg_b3_tip")]
-    pairs += [("middle_b2_upper", "leg_c2_tip"), ("middle_b3_upper", "leg_c3_tip")]
-    names = ("b2", "b3", "c2", "c3")
-    assert read_closures(prefix=prefix) == tuple(
-        Closure(f"{prefix}closure_{name}", prefix + a, prefix + b) for name, (a, b) in zip(names, pairs, strict=True)
-    )
-
-
-def test_reference_configurations(model: Any) -> None:
-    pin.loadReferenceConfigurations(model, SRDF_PATH, False)
-    assert {entry.key() for entry in model.referenceConfigurations} == set(STATES)
-    for name, values in STATES.items():
-        assert model.referenceConfigurations[name].tolist() == [values[joint] for joint in list(model.names)[1:]]
 
 
 def test_the_public_loader_gets_a_closed_robot(model: Any) -> None:
@@ -87,18 +67,3 @@ def test_no_collision_where_a_machine_can_be(model: Any) -> None:
     assert collides(STATES["solution_7"])
     for configuration in in_leg_space(spm.Manipulator.paper(), 50, seed=5).configuration:
         assert not collides(joint_values(configuration))
-
-
-def test_two_robots_need_prefixes() -> None:
-    bare = pin.buildModelFromXML(urdf_text())
-    with pytest.raises(ValueError, match="conflicting frame names"):
-        pin.appendModel(bare, bare, 0, pin.SE3.Identity())
-    left, right = (pin.buildModelFromXML(urdf_text(prefix=prefix)) for prefix in ("left_", "right_"))
-    both = pin.appendModel(left, right, 0, pin.SE3(np.eye(3), np.array([3.0, 0.0, 0.0])))
-    data = both.createData()
-    pin.framesForwardKinematics(both, data, pin.neutral(both))
-    for closure in [*read_closures(prefix="left_"), *read_closures(prefix="right_")]:
-        assert both.existFrame(closure.frame_a)
-        assert both.existFrame(closure.frame_b)
-        a, b = (data.oMf[both.getFrameId(frame)].translation for frame in (closure.frame_a, closure.frame_b))
-        np.testing.assert_allclose(a, b, atol=1e-12)

@@ -41,10 +41,9 @@ Array = np.ndarray
 LIMITS = {"RRS": (-0.6, 1.2), "RRS inwards": (1.6, 3.0), "RPS": (0.8, 1.4), "PRS hanging": (0.6, 1.0)}
 DRAWN = {name: spm.Stage(*stage.stage_radii[0], stage.kind, LIMITS.get(name)) for name, stage in STAGES.items()}
 DRAWN["PRS below its pivots"] = STAGES["PRS hanging"]
-BUILT = "RPS", "PRS inclined", "RRS"
-MACHINES = {name: (name, False) for name in DRAWN if name != "PRS"} | {
-    f"{name} as built": (name, True) for name in BUILT
-}
+KINDS = "RPS", "PRS inclined", "RRS"
+MACHINES = {name: (name, False) for name in (*KINDS, "PRS below its pivots", "RRS inwards")}
+MACHINES |= {f"{name} as built": (name, True) for name in KINDS}
 BALANCER = DRAWN["RRS"]
 
 
@@ -91,6 +90,8 @@ def test_a_batch_has_the_joint_angles_of_its_members_and_of_the_lower_stage_of_a
     stage, states = stage_and_states("RRS")
     angles = joint_angles(states)
     np.testing.assert_array_equal(angles.values, [joint_angles(state).values for state in states])
+    with pytest.raises(ArgumentError, check=with_fields(argument="configuration")):
+        joint_values(states)
     assert angles.passive.shape == angles.actuated.shape == angles.ball_x.shape == (6, 3)
     robot = spm.Manipulator.of_stages(stage, stage)
     both = joint_angles(spm.Configuration(robot, states.pose, states.balls))
@@ -98,9 +99,8 @@ def test_a_batch_has_the_joint_angles_of_its_members_and_of_the_lower_stage_of_a
         np.testing.assert_allclose(getattr(angles, name), getattr(both, name)[..., :3], atol=1e-14, err_msg=name)
 
 
-@pytest.mark.parametrize("machine", ["RRS", "PRS inclined as built"])
-def test_the_xacro_command_gives_the_same_tree(machine: str, tmp_path: Path) -> None:
-    stage, _ = stage_and_states(machine)
+def test_the_xacro_command_gives_the_same_tree(tmp_path: Path) -> None:
+    stage, _ = stage_and_states("PRS inclined as built")
     stage.to_yaml(tmp_path / "mine.yaml")
     source = description_directory() / "stage.urdf.xacro"
     command = [str(Path(sysconfig.get_path("scripts")) / "xacro"), str(source), f"stage:={tmp_path / 'mine.yaml'}"]
@@ -124,8 +124,10 @@ def test_the_file_that_comes_with_the_sources_is_a_stage_and_numbers_left_out_ar
     )
 
 
-@pytest.mark.parametrize("engine", [Pinocchio, Mujoco, Drake])
-@pytest.mark.parametrize(("suffix", "machine"), [("urdf", "RRS"), ("xml", "PRS inclined")])
+@pytest.mark.parametrize(
+    ("engine", "suffix", "machine"),
+    [(Pinocchio, "urdf", "RRS"), (Mujoco, "urdf", "RRS"), (Drake, "xml", "PRS inclined")],
+)
 def test_loops_hold_in_other_engines(engine: type, suffix: str, machine: str, tmp_path: Path) -> None:
     pytest.importorskip({Pinocchio: "pinocchio", Mujoco: "mujoco", Drake: "pydrake"}[engine])
     stage, states = stage_and_states(machine)
@@ -150,7 +152,7 @@ def test_loops_hold_in_other_engines(engine: type, suffix: str, machine: str, tm
         assert robot.plant.num_actuators() == 3
 
 
-@pytest.mark.parametrize("machine", ["RRS", "RRS as built", "RPS", "PRS inclined as built"])
+@pytest.mark.parametrize("machine", ["RRS as built", "PRS inclined as built", "RPS"])
 def test_servos_in_mujoco_lead_the_platform_where_the_closed_form_has_it(machine: str) -> None:
     """MuJoCo settles by its own dynamics; what its servos then read gives the pose of its platform in closed form."""
     stage, states = stage_and_states(machine)
@@ -177,7 +179,7 @@ def test_servos_in_mujoco_lead_the_platform_where_the_closed_form_has_it(machine
     assert opened < 1e-4 * stage.size
 
 
-@pytest.mark.parametrize(("sign", "limits"), [(1, (-0.8, -0.5)), (1, (0.1, 0.4)), (-1, (-0.8, -0.5))])
+@pytest.mark.parametrize(("sign", "limits"), [(1, (0.1, 0.4)), (-1, (-0.8, -0.5))])
 def test_the_keyframe_home_of_a_stage_below_its_pivots_is_the_middle_of_its_limits(
     sign: int, limits: tuple[float, float]
 ) -> None:
@@ -201,23 +203,21 @@ def test_servos_have_the_limits_of_the_stage() -> None:
     (zeros,) = re.findall(r"the value of its joint plus (.*?)\. Their", mjcf_text(stage))
     np.testing.assert_array_equal(np.array(zeros.split(), float), home_readings(stage) + stage.legs.offsets)
     assert (model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE).all()
+    small = spm.Stage(0.04, 0.045, spm.RRS(crank=0.025, rod=0.055))
+    efforts = mujoco.MjModel.from_xml_string(mjcf_text(small)).jnt_actfrcrange
+    assert np.count_nonzero(efforts[:, 1] > 0.0) == 3
+    assert efforts.max() < 1.0
     motors = mujoco.MjModel.from_xml_string(mjcf_text(stage, actuators="motors"))
     assert (motors.actuator_biastype == mujoco.mjtBias.mjBIAS_NONE).all()
     robot = mujoco.MjModel.from_xml_string(mjcf_text(actuators="servos"))
     assert (robot.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE).all()
-    with pytest.raises(ArgumentError, match="motors"):
+    with pytest.raises(ArgumentError, check=with_fields(argument="actuators")):
         mjcf_text(stage, actuators="muscles")
 
 
 @pytest.mark.parametrize(
     "stage",
-    [
-        BALANCER,
-        spm.Stage(0.08, 0.09, spm.RRS(crank=0.02, rod=0.11)),
-        DRAWN["PRS inclined"],
-        DRAWN["RPS"],
-        *(machine.stage for machine in spm.machine.gallery().values()),
-    ],
+    [BALANCER, spm.Stage(0.08, 0.09, spm.RRS(crank=0.02, rod=0.11)), DRAWN["PRS inclined"], DRAWN["RPS"]],
     ids=repr,
 )
 def test_actuators_of_a_stage_are_as_strong_as_it_is_heavy(stage: spm.Stage) -> None:
@@ -227,12 +227,9 @@ def test_actuators_of_a_stage_are_as_strong_as_it_is_heavy(stage: spm.Stage) -> 
     efforts = np.array([robot.joints[joint].limits["effort"] for joint in robot.motors])
     times = efforts / stage.legs.largest_slopes / weight
     assert ((times > 4.0) & (times < 25.0)).all(), times
-
-
-def test_a_ball_balancer_weighs_and_turns_as_much_as_one_of_hobby_servos() -> None:
-    robot = read_robot(BALANCER)
-    assert 0.1 < sum(link.mass for link in robot.links.values()) < 1.0  # [kg]
-    assert 0.3 < robot.joints["leg_1_hip"].limits["effort"] < 3.0  # [N m]
+    if stage is BALANCER:  # as one of hobby servos
+        assert 0.1 < sum(link.mass for link in robot.links.values()) < 1.0  # [kg]
+        assert 0.3 < efforts[0] < 3.0  # [N m]
 
 
 def test_sdf_closes_its_loops_by_joints_or_by_elements_of_drake(tmp_path: Path) -> None:
@@ -272,15 +269,15 @@ def test_a_payload_is_on_the_platform() -> None:
 
 
 def test_a_stage_that_does_not_stand_level_has_no_description() -> None:
-    with pytest.raises(spm.GeometryError, match="Is a rod too short, a sign wrong"):
+    with pytest.raises(spm.GeometryError, check=with_fields(argument="machine")):
         urdf_text(spm.Stage(0.3, 0.2, spm.PRS(rod=0.4, direction=0.0, sign=-1)))
 
 
 def test_states_of_another_stage_are_refused() -> None:
     _, states = stage_and_states("RRS")
-    with pytest.raises(DescriptionError, match="states"):
+    with pytest.raises(DescriptionError, check=with_fields(argument="states")):
         mjcf_text(DRAWN["RPS"], states={"mine": states[0]})
-    with pytest.raises(ArgumentError, match="a Manipulator or a Stage"):
+    with pytest.raises(ArgumentError, check=with_fields(argument="machine")):
         urdf_text("stage.yaml")  # type: ignore[arg-type]
 
 
@@ -319,5 +316,5 @@ def test_a_plate_of_its_own_and_what_no_ball_is() -> None:
         Ball(radius=-1.0)
     with pytest.raises(DescriptionError, check=with_fields(argument="ball")):
         mjcf_text(ball=Ball())
-    with pytest.raises(ArgumentError, match="ball"):
+    with pytest.raises(ArgumentError, check=with_fields(argument="ball")):
         mjcf_text(BALANCER, ball=0.02)  # type: ignore[arg-type]

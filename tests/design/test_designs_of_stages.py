@@ -13,7 +13,7 @@ import spm_pin as spm
 from spm_pin.design import DesignProblem, Task, evaluate_designs, pareto_front
 
 BALANCER = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), limits=(-0.3, 0.6))
-KINDS = ["RPS", "PRS as built", "RRS", "RRS as built"]
+KINDS = ["RPS", "PRS as built", "RRS"]
 
 
 def limited(machine: str, share: float = 0.06) -> spm.Stage:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from error_fields import with_fields
 from scipy.stats import qmc
 
 import spm_pin as spm
@@ -48,16 +49,6 @@ def test_the_volume_is_that_of_the_poses_where_each_has_one_state() -> None:
     assert expected.low < volume < 2.0 * expected.high
 
 
-def test_rows_do_not_depend_on_the_number_of_processes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("spm_pin.design.designs._TOGETHER", 2)
-    alone = evaluate_designs(MACHINES, METRICS, states=64)
-    steps: list[tuple[str, int, int]] = []
-    shared = evaluate_designs(MACHINES, METRICS, states=64, workers=2, progress=lambda *step: steps.append(step))
-    for name, column in alone.columns.items():
-        np.testing.assert_array_equal(column, shared.columns[name])
-    assert steps[-1] == ("machines", 3, 3)
-
-
 def test_machines_that_cannot_be_assembled_or_certified_stop_nothing() -> None:
     found = evaluate_designs([MACHINES[0], WIDE, SHORT], METRICS, states=256, boxes=30_000).columns
     assert found["certified"].tolist() == [1.0, 0.0, 0.0]
@@ -65,9 +56,9 @@ def test_machines_that_cannot_be_assembled_or_certified_stop_nothing() -> None:
     assert 0.0 < found["assembled"][1] < 1.0
     assert found["assembled"][2] == found["volume"][2] == 0.0
     assert np.isnan(found["payload_low"]).tolist() == [False, False, True]
-    with pytest.raises(spm.ArgumentError, match=r"an iterable of .* got Manipulator"):
+    with pytest.raises(spm.ArgumentError, check=with_fields(argument="machines")):
         evaluate_designs(MACHINES[0])  # type: ignore[arg-type]
-    with pytest.raises(spm.ArgumentError, match="index 1"):
+    with pytest.raises(spm.ArgumentError, check=with_fields(argument="machines")):
         evaluate_designs([MACHINES[0], spm.Manipulator(0.7, 0.3, 0.8)])
-    with pytest.raises(spm.ArgumentError, match="an iterable of at least one"):
+    with pytest.raises(spm.ArgumentError, check=with_fields(argument="machines")):
         evaluate_designs([])

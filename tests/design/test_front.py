@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 from cli.running import run
 from distributed import LocalCluster
+from error_fields import with_fields
+from kinds_of_legs import SERVOS_AND_SCREWS
 
 import spm_pin as spm
 from spm_pin.design import DesignProblem, Front, Task, evaluate_designs, pareto_front
 from spm_pin.display.figures import front_figure
-from spm_pin.machine import PRS, RRS, Stage
+from spm_pin.machine import PRS, RRS
 from spm_pin.multibody import PlatformPath
 from spm_pin.sweeps import METRICS
 
@@ -149,23 +151,26 @@ def test_bounds_are_kept_and_machines_without_numbers_lose(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(
-    ("changes", "text"),
+    "changes",
     [
-        ({"free": {"height": (1.0, 2.0)}}, "base_radius"),
-        ({"free": {"stroke": (2.0, 1.0)}}, "low < high"),
-        ({"free": {"stroke": (0.1, 0.2), "lower_stroke": (0.1, 0.2)}}, "both"),
-        ({"free": {}}, "free: expected at least one, a dimension that may change, got none"),
-        ({"aims": {}}, "aims: expected at least one, a column to be large or small, got none"),
-        ({"at_most": {"beauty": 1.0}}, "volume"),
-        ({"aims": {"volume": "most", "footprint": "min"}}, "max"),
-        ({"aims": {"beauty": "max", "footprint": "min"}}, "volume"),
-        ({"machine": spm.Manipulator(0.7, 0.35, 0.8)}, "finite"),
+        {"free": {"height": (1.0, 2.0)}},
+        *({"free": {"stroke": ends}} for ends in ((2.0, 1.0), (1.0, 1.0 + 1e-15), (1e-12, 1.0), (1.0, 1e12))),
+        {"free": {"middle_side": (500, 1100)}},  # in millimetres
+        {"free": {"stroke": (0.1, 0.2), "lower_stroke": (0.1, 0.2)}},
+        {"free": {}},
+        {"aims": {}},
+        {"at_most": {"beauty": 1.0}},
+        {"aims": {"volume": "most", "footprint": "min"}},
+        {"aims": {"beauty": "max", "footprint": "min"}},
+        {"machine": spm.Manipulator(0.7, 0.35, 0.8)},
     ],
+    ids=repr,
 )
-def test_problems_that_are_none_are_refused(changes: dict[str, Any], text: str) -> None:
+def test_problems_that_are_none_are_refused(changes: dict[str, Any]) -> None:
     arguments = {name: getattr(PROBLEM, name) for name in ("machine", "free", "aims", "at_least")}
-    with pytest.raises(spm.ArgumentError, match=text):
+    with pytest.raises(spm.ArgumentError) as caught:
         DesignProblem(**{**arguments, **changes})
+    assert caught.value.argument.partition(".")[0].partition("[")[0] in changes
 
 
 def test_the_command_searches_shows_and_writes_a_machine(tmp_path: Path) -> None:
@@ -186,61 +191,6 @@ def test_the_command_searches_shows_and_writes_a_machine(tmp_path: Path) -> None
     best = max(content["columns"]["payload_low"])
     assert content["columns"]["payload_low"][0] == best
     assert run(*command, "--choose", "99", "--out", tmp_path / "x.yaml").returncode == 2
-    wrong = run("design", tmp_path / "other.json", "--free", "stroke:a:b", "--maximise", "volume")
-    assert wrong.returncode == 2
-    assert "--free" in wrong.message
-
-
-@pytest.mark.parametrize(
-    ("more", "text"),
-    [
-        (["--free", "platform_radius:0.2:0.3"], "--free: expected names without repetition, got platform_radius twice"),
-        (["--at-least", "assembled:1", "--at-least", "assembled:0"], "assembled twice"),
-        (["--at-most", "footprint"], "--at-most: expected a name and 1 number, with colons between, got 'footprint'"),
-        (["--at-most", "beauty:1"], "--at-most"),
-        (["--minimise", "volume"], "--maximise, --minimise: expected names without repetition, got volume twice"),
-        (["--choose=-1", "--out", "x.yaml"], "--choose: expected a row of the front"),
-        (["--free", "middle_side:a:b"], "'middle_side:a:b'"),
-    ],
-)
-def test_options_that_contradict_are_refused_before_the_search(tmp_path: Path, more: list[str], text: str) -> None:
-    command = ["design", tmp_path / "front.json", "--free", "platform_radius:0.25:0.6"]
-    done = run(*command, "--maximise", "volume", "--minimise", "footprint", *more)
-    assert done.returncode == 2
-    assert text in done.message
-    assert not (tmp_path / "front.json").exists()
-
-
-def test_a_search_without_a_machine_within_the_bounds_says_so(tmp_path: Path) -> None:
-    command = ["design", tmp_path / "front.json", "--free", "platform_radius:0.25:0.6", "--at-least", "footprint:99"]
-    command += ["--maximise", "volume", "--minimise", "footprint"]
-    command += ["--population", "4", "--generations", "2", "--states", "16", "--workers", "1"]
-    done = run(*command)
-    assert done.returncode == 3
-    assert "no machine keeps the bounds" in done.stderr
-    done = run(*command, "--choose", "0", "--out", tmp_path / "x.yaml")
-    assert done.returncode == 2
-    assert "got 0. No machine keeps the bounds" in done.message
-
-
-def test_a_file_beside_the_store_is_left_alone(tmp_path: Path) -> None:
-    other = tmp_path / "front.json.draft"
-    other.write_text("not ours", encoding="utf-8")
-    problem = DesignProblem(spm.Manipulator.paper(), {"stroke": (0.1, 0.3)}, {"volume": "max", "footprint": "min"})
-    pareto_front(problem, store=tmp_path / "front.json", population=4, generations=2, states=16)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["front.json", "front.json.draft"]
-    assert other.read_text(encoding="utf-8") == "not ours"
-
-
-@pytest.mark.parametrize("ends", [(1.0, 1.0 + 1e-15), (1e-12, 1.0), (1.0, 1e12)])
-def test_ranges_without_choice_or_out_of_bounds_are_refused(ends: tuple[float, float]) -> None:
-    with pytest.raises(spm.ArgumentError, match="low < high"):
-        DesignProblem(spm.Manipulator.paper(), {"stroke": ends}, {"volume": "max"})
-
-
-def test_a_range_in_millimetres_is_refused() -> None:
-    with pytest.raises(spm.ArgumentError, match=r"middle_side.*In mm or cm\?"):
-        DesignProblem(spm.Manipulator.paper(), {"middle_side": (500, 1100)}, {"volume": "max"})
 
 
 def test_a_task_has_the_margin_and_the_efforts_of_its_states() -> None:
@@ -263,16 +213,14 @@ def test_a_task_has_the_margin_and_the_efforts_of_its_states() -> None:
     out_of_reach = Task([here, there])
     assert np.isnan([out_of_reach.margin(machine), out_of_reach.effort(machine)]).all()
     assert len({x.identity for x in (one, task, out_of_reach, Task([here]))}) == 4
-    with pytest.raises(spm.ArgumentError, match="one or more poses"):
+    with pytest.raises(spm.ArgumentError, check=with_fields(argument="poses")):
         Task(here)
-    with pytest.raises(spm.ArgumentError, match="wrench"):
+    with pytest.raises(spm.ArgumentError, check=with_fields(argument="wrench")):
         Task([here], np.zeros((2, 6)))
 
 
 def test_aims_may_be_functions_and_metrics_of_ones_own_and_cranks_are_variables(tmp_path: Path) -> None:
-    servos = Stage(base_radius=0.30, platform_radius=0.25, legs=RRS(crank=0.15, rod=0.35), limits=(-0.5, 1.5))
-    screws = Stage(base_radius=0.20, platform_radius=0.25, legs=PRS(rod=0.30), limits=(-0.05, 0.25))
-    machine = spm.Manipulator.of_stages(servos, screws)
+    machine = SERVOS_AND_SCREWS
     here = spm.forward_physical(machine, [0.4, 0.5, 0.6, 0.10, 0.12, 0.14]).pose.as_matrix()
     task, payload = Task([here], [0.0, 0.0, -50.0, 0.0, 0.0, 0.0]), METRICS["payload"](push=20.0)
     problem = DesignProblem(

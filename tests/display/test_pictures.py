@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import kinds_of_legs
@@ -11,7 +10,8 @@ import problems
 import pytest
 import trimesh
 from description.kinematic_tree import KinematicTree, origin, vector
-from display.pixels import inner_pixels, looking, nearest, off_shade
+from display.pixels import inner_pixels, nearest, off_shade
+from error_fields import with_fields
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
@@ -21,23 +21,18 @@ from spm_pin.capability import wrench_polytope
 from spm_pin.description import urdf_text
 from spm_pin.description.robot import read_robot
 from spm_pin.description.tree import joint_values
-from spm_pin.description.visuals import part_placements, read_obj, section_size, visual_parts
+from spm_pin.description.visuals import read_obj, visual_parts
 from spm_pin.display.plots import draw, draw_capability, save_gallery, save_picture
-from spm_pin.display.rendering import AXIS_COLOURS, TRIAD, VIEW, camera_axes, robot_solids
-from spm_pin.errors import ArgumentError, MissingExtraError
+from spm_pin.display.rendering import VIEW, camera_axes, robot_solids
+from spm_pin.errors import ArgumentError
 
 PAPER = spm.Manipulator.paper()
 POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
 SOLUTIONS = spm.inverse_displacement(PAPER, POSE)
 STATE = SOLUTIONS.physical()
-HOME = problems.in_leg_space(PAPER, 1, seed=0, legs=np.full((1, 6), 1.2)).configuration[0]
-COLOURS = {solid.name: solid.colour for solid in robot_solids(STATE)}
-PLATES = (("base", "base"), ("middle_platform", "middle"), ("terminal_platform", "terminal"))
 
 
-@pytest.mark.parametrize(
-    ("label", "view"), [("TT+", VIEW), ("FF+", (-2.1, 0.1)), ("FF+", (1.0, -0.6)), ("TT+", (0.0, np.pi / 2))]
-)
+@pytest.mark.parametrize(("label", "view"), [("TT+", VIEW), ("FF+", (1.0, -0.6))])
 def test_every_pixel_shows_the_nearest_solid(label, view):
     state = SOLUTIONS[label]
     solids = robot_solids(state, frames=False)
@@ -49,29 +44,6 @@ def test_every_pixel_shows_the_nearest_solid(label, view):
         assert colour[3] == (i >= 0)
         if i >= 0:
             assert off_shade(colour[:3], solids[i].colour) < 2e-3, solids[i].name
-
-
-def pixel(ax, point):
-    """The colour that Agg gives a figure at a point of its data coordinates."""
-    canvas = FigureCanvasAgg(ax.figure)
-    canvas.draw()
-    picture = np.asarray(canvas.buffer_rgba())
-    x, y = ax.transData.transform(point)
-    return picture[picture.shape[0] - 1 - int(y), int(x), :3] / 255.0
-
-
-@pytest.mark.parametrize(
-    ("elevation", "radius", "name"),
-    [(0.5, 0.12, "terminal_platform"), (-0.5, 0.25, "base"), (0.5, 0.17, "middle_platform")],
-)
-def test_plates_hide_one_another_from_above_and_below(elevation, radius, name):
-    # Opposite leg 1 the terminal platform ends 0.15 m from the middle, the middle one 0.19 m, the base 0.30 m.
-    right, up, _ = looking((0.0, elevation * np.pi))
-    point = -radius * HOME.machine.radial_directions[0]
-    colour = pixel(draw(HOME, view=(0.0, elevation * np.pi), labels=False, dpi=60), (point @ right, point @ up))
-    plates = {body: COLOURS[f"{body} {mesh}_plate"] for body, mesh in PLATES}
-    assert min(plates, key=lambda plate: off_shade(colour, plates[plate])) == name
-    assert off_shade(colour, plates[name]) < 1.0 / 255.0
 
 
 def test_labels_name_all_joints_legs_and_frames_within_the_picture():
@@ -105,44 +77,24 @@ def test_a_section_is_drawn_at_o_in_its_scale_into_the_given_axes():
     np.testing.assert_allclose([left, bottom, right, top], [*points.min(axis=0), *points.max(axis=0)], atol=0.02)
     assert ax.get_ylim()[1] > top
     assert ax.get_ylim()[0] < robot.get_extent()[2]
-    with pytest.raises(ArgumentError, match="section"):
+    with pytest.raises(ArgumentError, check=with_fields(argument="section")):
         draw_capability(STATE, section.vertices)
 
 
-@pytest.mark.parametrize("view", [(20.0, 20.0), (0.0, 2.0), 0.3, (0.0, np.nan), (0.0, 0.0, 0.0)])
+@pytest.mark.parametrize("view", [(20.0, 20.0), 0.3, (0.0, np.nan), (0.0, 0.0, 0.0)])
 def test_views_that_are_not_two_angles_in_radians(view):
-    with pytest.raises(ArgumentError, match="azimuth and elevation in radians"):
+    with pytest.raises(ArgumentError, check=with_fields(argument="view")):
         draw(STATE, view=view)
 
 
-def test_three_dimensional_axes_are_refused():
-    with pytest.raises(ArgumentError, match="projection='3d'"):
-        draw(STATE, ax=Figure().add_subplot(projection="3d"))
-
-
 @pytest.mark.parametrize(
-    "save", [save_picture, lambda state, *args, **kwargs: save_gallery({"one": state}, *args, **kwargs)]
+    "save", [save_picture, lambda state, *args, **options: save_gallery({"one": state}, *args, **options)]
 )
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        ({"width": 4}, "width: expected at least [12]00 pixels, a whole number, got 4"),
-        ({"width": 100000}, "width: expected at most 6000 pixels, a whole number, got 100000"),
-        ({"width": 500.5}, "width: expected at most 6000 pixels, a whole number, got 500.5"),
-        ({"background": "notacolour"}, "background: expected a colour of matplotlib"),
-    ],
-)
-def test_impossible_pictures_are_refused(tmp_path, save, options, says):
-    with pytest.raises(ArgumentError, match=says):
+@pytest.mark.parametrize("options", [{"width": 4}, {"width": 100000}, {"width": 500.5}, {"background": "notacolour"}])
+def test_impossible_pictures_are_refused(tmp_path, save, options):
+    with pytest.raises(ArgumentError, check=with_fields(argument=next(iter(options)))):
         save(STATE, tmp_path / "mechanism.png", **options)
     assert not list(tmp_path.iterdir())
-
-
-def test_without_matplotlib_the_error_tells_how_to_install_it(monkeypatch):
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(MissingExtraError, match=r'this needs matplotlib.*pip install "\.\[plots\]"') as caught:
-        draw(STATE)
-    assert isinstance(caught.value, ImportError)
 
 
 def solids(state, **options):
@@ -157,7 +109,7 @@ def along(vertices, start, end):
     return lengths.min(), lengths.max(), np.linalg.norm(across, axis=-1).max()
 
 
-@pytest.mark.parametrize("name", problems.MANIPULATORS)
+@pytest.mark.parametrize("name", ["paper", "wide base"])
 def test_every_machine_in_every_family_makes_closed_solids(name):
     for family in spm.machine.FAMILIES:
         built = robot_solids(problems.random_branches(problems.MANIPULATORS[name], family, 1, seed=5).configuration[0])
@@ -169,7 +121,7 @@ def test_every_machine_in_every_family_makes_closed_solids(name):
             assert mesh.volume > 0.0, solid.name
 
 
-@pytest.mark.parametrize("name", [*problems.MANIPULATORS, "as built"])
+@pytest.mark.parametrize("name", ["paper", "as built"])
 def test_solids_are_those_of_the_urdf_where_its_joints_put_them(name):
     machine = problems.MANIPULATORS.get(name, problems.as_built(PAPER, 5e-2))
     tree = KinematicTree(urdf_text(machine))
@@ -197,7 +149,7 @@ def test_solids_are_those_of_the_urdf_where_its_joints_put_them(name):
     assert count == len(built)
 
 
-@pytest.mark.parametrize("label", [label for label in SOLUTIONS.labels if SOLUTIONS[label].exists])
+@pytest.mark.parametrize("label", ["TT+", "FF+"])
 @pytest.mark.parametrize("limits", [None, spm.LegLimits(1.1, 1.5), spm.LegLimits(0.3, 3.0)])
 def test_a_leg_is_one_leg_whatever_its_length(label, limits):
     """The real branches have legs from 0.6 to 2 m; the rod begins inside the barrel and ends in the ball."""
@@ -226,21 +178,10 @@ def test_within_its_limits_a_leg_is_that_of_the_urdf():
             assert max(barrel, rod) < limits.minimum[k]
 
 
-def test_placements_of_a_batch_are_those_of_its_members():
-    batch = SOLUTIONS.configurations
-    together = part_placements(batch)
-    for i in range(len(batch)):
-        if batch.exists[i]:
-            np.testing.assert_allclose(together[i], part_placements(batch[i]), rtol=1e-14, atol=1e-14)
-        else:
-            assert np.isnan(together[i]).any()
-
-
-@pytest.mark.parametrize("size", [0.0, 1e-3, 5e-2])
-def test_pins_lie_on_the_revolute_axes_and_legs_go_from_pivots_to_balls(size):
+def test_pins_lie_on_the_revolute_axes_and_legs_go_from_pivots_to_balls():
     """The legs are as long as the distance of pivot and ball, whatever the offsets of the encoders."""
-    machine = problems.as_built(PAPER, size)
-    assert (np.abs(machine.legs.offsets).max() > 0.5 * size) == (size > 0.0)
+    machine = problems.as_built(PAPER, 5e-2)
+    assert np.abs(machine.legs.offsets).max() > 0.02
     state = spm.forward_physical(machine, [1.2, 1.2, 1.4, 1.25, 1.2, 1.45])
     built = solids(state)
     place = state.pose.as_matrix()
@@ -261,9 +202,8 @@ def test_pins_lie_on_the_revolute_axes_and_legs_go_from_pivots_to_balls(size):
         assert end == pytest.approx(state.readings[k] - machine.legs.offsets[k], abs=1e-9)
 
 
-@pytest.mark.parametrize(("lower", "upper", "built"), [("PRS", "RRS", True), ("RRS", "PRS", False)])
-def test_solids_of_carriages_and_cranks_are_where_the_urdf_has_them(lower, upper, built):
-    state = kinds_of_legs.states(kinds_of_legs.machine_of_kinds(lower, upper, built=built))[0]
+def test_solids_of_carriages_and_cranks_are_where_the_urdf_has_them():
+    state = kinds_of_legs.states(kinds_of_legs.machine_of_kinds("PRS", "RRS", built=True))[0]
     robot = read_robot(state.machine)
     frames, found = robot.frames(joint_values(state)), iter(robot_solids(state, frames=False))
     seen = set()
@@ -280,39 +220,16 @@ def test_solids_of_carriages_and_cranks_are_where_the_urdf_has_them(lower, upper
     assert draw(state).images
 
 
-def test_frames_are_arrows_along_their_axes_and_can_be_left_out():
-    built, size = solids(STATE), section_size(PAPER)
-    for frame, rotation, start in (("B", np.eye(3), np.zeros(3)), ("m", STATE.rotation, STATE.translation)):
-        for k, axis in enumerate("xyz"):
-            arrow = built[f"{{{frame}}} {axis}"]
-            low, high, radius = along(arrow.vertices, start, start + rotation[:, k])
-            np.testing.assert_allclose([low, high], [0.0, TRIAD * size], atol=1e-12)
-            assert radius < 0.12 * high
-            assert arrow.colour == AXIS_COLOURS[axis]
-    assert built.keys() - solids(STATE, frames=False).keys() == {f"{{{f}}} {axis}" for f in "Bm" for axis in "xyz"}
-
-
-def test_sizes_scale_with_the_machine():
-    factor = 0.01
-    small = spm.Manipulator(PAPER.base_radius * factor, PAPER.platform_radius * factor, PAPER.middle_side * factor)
-    large = spm.Manipulator(PAPER.base_radius, PAPER.platform_radius, PAPER.middle_side)
-    pose = spm.pose(STATE.translation * factor, rotation=STATE.rotation)
-    little = robot_solids(spm.Configuration(small, pose, STATE.middle_joints * factor))
-    big = robot_solids(spm.Configuration(large, POSE, STATE.middle_joints))
-    for solid, larger in zip(little, big, strict=True):
-        np.testing.assert_allclose(solid.vertices, larger.vertices * factor, atol=1e-12)
-
-
 @pytest.mark.parametrize(
-    ("state", "says"),
+    "state",
     [
-        (SOLUTIONS, "SolutionSet"),
-        (SOLUTIONS.configurations, "batch of shape"),
-        (SOLUTIONS["FT+"], "configuration that exists"),
-        (spm.Configuration(PAPER, POSE, PAPER.base_joints), "positive length"),
-        (spm.Configuration(PAPER, POSE, [[0.0, 0.0, 1.0], [0.0, 0.1, 1.0], [0.0, 0.2, 1.0]]), "span a plane"),
+        SOLUTIONS,
+        SOLUTIONS.configurations,
+        SOLUTIONS["FT+"],
+        spm.Configuration(PAPER, POSE, PAPER.base_joints),
+        spm.Configuration(PAPER, POSE, [[0.0, 0.0, 1.0], [0.0, 0.1, 1.0], [0.0, 0.2, 1.0]]),
     ],
 )
-def test_what_cannot_be_shown_is_refused(state, says):
-    with pytest.raises(ArgumentError, match=says):
+def test_what_cannot_be_shown_is_refused(state):
+    with pytest.raises(ArgumentError, check=with_fields(argument="configuration")):
         robot_solids(state)

@@ -21,7 +21,6 @@ from problems import MANIPULATORS, as_built, at_end_stops
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.description.tree import joint_values
 from spm_pin.errors import ArgumentError
 from spm_pin.export.c_export import STATE_FUNCTIONS, STATUSES
 from spm_pin.machine.joint_angles import joint_names, value_names
@@ -68,66 +67,10 @@ def random_steps(count: int, seed: int, length: float, angle: float) -> tuple[np
     return both[0] * length, both[1] * angle
 
 
-def structure_condition(state: spm.Configuration) -> np.ndarray:
-    """Return the condition number of the six axes as forces through the balls, and of all through the lower balls.
-
-    The formula of J_f solves for the latter first: where these are nearly dependent it loses digits that J_f has.
-    """
-    legs, lower = state.machine.legs, state.balls[..., :3, :]
-    axes = np.concatenate(
-        [np.broadcast_to(legs.axes[:3], lower.shape), legs.axes[3:] @ np.swapaxes(state.rotation, -1, -2)], axis=-2
-    )
-    numbers = []
-    for balls in (state.balls, np.concatenate([lower, lower], axis=-2)):
-        arms = (balls - lower.mean(axis=-2, keepdims=True)) / state.machine.middle_side
-        numbers.append(np.linalg.cond(np.concatenate([axes, np.cross(arms, axes)], axis=-1)))
-    return np.maximum(*numbers)
-
-
-def check_machine(library: CLibrary, machine: spm.Manipulator, readings: np.ndarray) -> None:
-    """Compare all functions with the package's for one machine."""
-    own, state = library.of(machine), spm.forward_physical(machine, readings)
-    states, status = own.forward(readings)
-    np.testing.assert_array_equal(status == 0, state.exists)
-    assert state.exists.all()
-    known = as_states(state)
-    scale = np.linalg.norm(spm.kinematics.platform_jacobian(state), axis=(-1, -2))
-    assert (np.abs(states - known).max(axis=-1) <= 1e-12 + 16.0 * EPS * scale).all()
-    np.testing.assert_allclose(states[:, 21:], readings, rtol=0, atol=1e-12)
-
-    expected = spm.inverse_physical(machine, state.pose)
-    found, status = own.inverse(state.rotation, state.translation)
-    assert (status == 0).all()
-    error = np.abs(found[:, 21:] - expected.readings).max(axis=-1)
-    known_matrices = spm.inverse_jacobian(state).reshape(-1, 36)
-    rates_per_pose = np.linalg.norm(spm.inverse_jacobian(expected), axis=(-1, -2))
-    assert (error <= 1e-12 + 16.0 * EPS * rates_per_pose).all()
-
-    matrices, status = own.of_states("inverse_jacobian", known)
-    size = np.abs(known_matrices).max(axis=-1)
-    assert (status == 0).all()
-    bound = 16.0 * EPS * structure_condition(state) * size
-    assert (np.abs(matrices - known_matrices).max(axis=-1) <= bound).all()
-    wrench = np.tile(WRENCH, (len(known), 1))
-    forces, status = own.of_states("leg_forces", known, wrench)
-    known_forces = spm.leg_forces(state, wrench)
-    assert (status == 0).all()
-    size = np.abs(known_forces).max(axis=-1)
-    assert (np.abs(forces - known_forces).max(axis=-1) <= 64.0 * EPS * size * np.linalg.norm(scale)).all()
-    values, _ = own.of_states("joint_values", known[:3])
-    np.testing.assert_allclose(values, [list(joint_values(state[n]).values()) for n in range(3)], rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize("size", [0.0, 1e-5, 1e-3, 1e-2])
-def test_a_random_machine_is_computed_as_by_the_package(library: CLibrary, size: float) -> None:
-    machine = PAPER if size == 0.0 else as_built(PAPER, size, 11)
-    check_machine(library, machine, random_readings(200, 1))
-
-
 @pytest.mark.parametrize("size", [0.0, 1e-3])
 def test_states_at_end_stops_keep_their_branch_as_in_the_package(library: CLibrary, size: float) -> None:
     machine = PAPER if size == 0.0 else as_built(PAPER, size, 11)
-    states = at_end_stops(machine, 4_000)
+    states = at_end_stops(machine, 300)
     expected, (found, status) = (
         spm.inverse_physical(machine, states.pose),
         library.of(machine).inverse(states.rotation, states.translation),
@@ -144,7 +87,7 @@ def test_the_first_leg_beyond_its_limits_is_that_of_the_package(library: CLibrar
     shares = 1.0 + np.array([0.0, 9e-9, -9e-9, 1.1e-8, -1.1e-8, 1e-3, -1e-3])
     for limits in (spm.LegLimits(1.1, 1.5), spm.LegLimits([1.1, 1.1, 1.1, 1.2, 1.1, 1.1], np.inf)):
         machine = replace(PAPER, limits=limits)
-        readings = rng.choice(np.outer([1.1, 1.2, 1.5], shares).ravel(), (20_000, 6))
+        readings = rng.choice(np.outer([1.1, 1.2, 1.5], shares).ravel(), (10_000, 6))
         readings[::7] = np.clip(readings[::7], 1.2, 1.49)
         excess = limits.excess(readings)
         expected = np.where((excess != 0.0).any(axis=-1), (excess != 0.0).argmax(axis=-1) + 1, 0)
@@ -155,14 +98,17 @@ def test_the_first_leg_beyond_its_limits_is_that_of_the_package(library: CLibrar
 
 @pytest.mark.parametrize(
     ("lower", "upper"),
-    [("RRS", "PRS"), *(pytest.param(lower, "RRS", marks=pytest.mark.slow) for lower in ("RPS", "PRS", "RRS"))],
+    [("RPS", "RPS"), ("RRS", "PRS"), pytest.param("PRS", "RRS", marks=pytest.mark.slow)],
 )
-def test_legs_of_any_kind_are_computed_as_by_the_package(lower: str, upper: str, tmp_path: Path) -> None:
-    """One build for the drawn machine and for machines as built, at thousands of states each."""
-    compiled = CLibrary.build(machine_of_kinds(lower, upper), tmp_path, "-O2")
-    for built in (False, True):
-        machine = machine_of_kinds(lower, upper, built=built)
-        own, state = compiled.of(machine), states(machine, 4_000 if not built else 400)
+def test_legs_of_any_kind_are_computed_as_by_the_package(
+    library: CLibrary, lower: str, upper: str, tmp_path: Path
+) -> None:
+    """One build for the nominal machine and for calibrated ones."""
+    nominal, has_cylinders = machine_of_kinds(lower, upper), lower == upper == "RPS"
+    compiled = library if has_cylinders else CLibrary.build(nominal, tmp_path, "-O2")
+    for size in (0.0, 1e-5, 5e-3):
+        machine = nominal.perturbed(5, length=size, angle=size) if size else nominal
+        own, state = compiled.of(machine), states(machine, 500)
         known, largest = as_states(state), machine.legs.largest_slopes
         rates = spm.inverse_jacobian(state)
         size = np.abs(largest[:, None] * rates).max(axis=(-1, -2))
@@ -206,6 +152,8 @@ def test_legs_of_any_kind_are_computed_as_by_the_package(lower: str, upper: str,
         for found, status in (own.inverse(state.rotation, up), own.inverse(state.rotation, up, known)):
             assert lower == "RPS" or not (status == 0).any()  # slides lead outwards, and cranks have an end
             np.testing.assert_array_equal(np.isnan(found).all(axis=-1), status != 0)
+    if has_cylinders:
+        return
     # Cranks where they were, two turns later: they are taken for degrees.
     wound = state.readings + 4.0 * np.pi * (np.array(machine.legs.units) == "rad")
     for further in ((), (known,)):
@@ -225,22 +173,9 @@ def test_legs_of_any_kind_are_computed_as_by_the_package(lower: str, upper: str,
         assert np.isnan(found).all()
 
 
-def test_files_of_a_machine_name_the_kinds_of_its_legs() -> None:
-    machine = machine_of_kinds("RRS", "PRS")
-    assert "lower_rrs 1.1 0.9 -1.0 1.1 0.9 -1.0 1.1 0.9 -1.0\n" in spm.export.c_sources(machine)["spm_machine.txt"]
-    header = spm.export.c_sources(machine)["spm_kinematics.h"]
-    assert "double upper_prs[9]; /* rod, direction, sign" in header
-    assert "spm_bodies" not in header
-    names = list(spm.export.c_export.machine_fields(PAPER))
-    assert names == ["dimensions", "axes", "pivots", "balls", "offsets", "minimum", "maximum"]
-
-
-@pytest.mark.slow
-def test_a_thousand_random_machines_are_computed_as_by_the_package(library: CLibrary) -> None:
-    rng = np.random.default_rng(5)
-    for seed in range(1000):
-        machine = PAPER.perturbed(seed, length=0.008 * rng.random(), angle=0.01 * rng.random())
-        check_machine(library, machine, random_readings(20, seed))
+def test_the_file_of_a_machine_names_the_kinds_of_its_legs() -> None:
+    text = spm.export.c_sources(machine_of_kinds("RRS", "PRS"))["spm_machine.txt"]
+    assert "lower_rrs 1.1 0.9 -1.0 1.1 0.9 -1.0 1.1 0.9 -1.0\n" in text
 
 
 @pytest.mark.parametrize("name", MANIPULATORS)
@@ -288,17 +223,6 @@ def test_a_way_from_a_state_ends_where_a_thousand_times_finer_steps_end(
     jumps, reached = compare_with_fine_steps(library, follower, machine, 40, 7)
     assert jumps == 0
     assert reached >= 50
-
-
-@pytest.mark.slow
-def test_no_way_of_a_hundred_thousand_jumps(library: CLibrary, follower: ctypes.CDLL) -> None:
-    jumps, reached = 0, 0
-    for seed in range(50):
-        machine = PAPER.perturbed(seed, length=1e-3, angle=1e-3)
-        results = compare_with_fine_steps(library, follower, machine, 1000, seed)
-        jumps, reached = jumps + results[0], reached + results[1]
-    assert jumps == 0
-    assert reached > 80_000
 
 
 def test_fine_steps_that_jump_are_seen(library: CLibrary, follower: ctypes.CDLL) -> None:
@@ -453,25 +377,15 @@ def test_a_rotation_with_rounding_of_single_precision_is_repaired_as_by_the_pack
     np.testing.assert_allclose(states[away, 21:], expected.leg_lengths[away], rtol=0, atol=1e-13)
 
 
-@pytest.mark.parametrize(
-    ("name", "flags"),
-    [
-        pytest.param("paper", ("-O0",), id="paper"),
-        pytest.param("built", ("-O1",), id="as built"),
-        pytest.param("wide base", SANITIZED, id="sanitized", marks=pytest.mark.slow),
-        pytest.param("millimetres", ("-O3", "-march=native"), id="contracted", marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize(("machine", "which"), [(PAPER, 0), (as_built(PAPER, 1e-3), -1)])
 def test_the_test_program_builds_without_a_warning_and_finds_all_right(
-    name: str, flags: tuple[str, ...], tmp_path: Path
+    machine: spm.Manipulator, which: int, tmp_path: Path
 ) -> None:
-    machine = as_built(PAPER, 1e-3) if name == "built" else MANIPULATORS[name]
     spm.export.write_c(machine, tmp_path, prefix="left_")
-    for compiler in compilers():
-        compile_c(compiler, *STRICT, *flags, *sorted(tmp_path.glob("*.c")), "-lm", "-o", tmp_path / "program")
-        done = subprocess.run([tmp_path / "program"], capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stdout
-        assert "12 poses compared, 0 wrong" in done.stdout
+    compile_c(compilers()[which], *STRICT, "-O0", *sorted(tmp_path.glob("*.c")), "-lm", "-o", tmp_path / "program")
+    done = subprocess.run([tmp_path / "program"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
+    assert "12 poses compared, 0 wrong" in done.stdout
 
 
 def test_fast_mathematics_is_refused(exported: Path) -> None:
@@ -493,15 +407,14 @@ def test_sanitizers_find_nothing_in_hard_poses(size: float, tmp_path: Path) -> N
     rotation, position = np.concatenate([rotation, held.rotation]), np.concatenate([position, held.translation])
     np.concatenate([rotation.reshape(-1, 9), position], axis=-1).tofile(tmp_path / "numbers")
     (tmp_path / "driver.c").write_text(_DRIVER, encoding="utf-8")
-    for compiler in compilers():
-        inputs = tmp_path / "driver.c", tmp_path / "spm_kinematics.c"
-        compile_c(compiler, "-std=c99", *SANITIZED, *inputs, "-lm", "-o", tmp_path / "program")
-        command = [tmp_path / "program", tmp_path / "numbers"]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stderr
-        solved, on, back = map(int, done.stdout.split())
-        assert solved >= 500
-        assert min(on, back) >= 450
+    inputs = tmp_path / "driver.c", tmp_path / "spm_kinematics.c"
+    compile_c(compilers()[-1], "-std=c99", *SANITIZED, *inputs, "-lm", "-o", tmp_path / "program")
+    command = [tmp_path / "program", tmp_path / "numbers"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    solved, on, back = map(int, done.stdout.split())
+    assert solved >= 500
+    assert min(on, back) >= 450
 
 
 _DRIVER = """
@@ -609,6 +522,7 @@ def test_a_directory_is_left_as_it_was_where_not_all_can_be_written(tmp_path: Pa
     assert [path.name for path in tmp_path.iterdir()] == ["spm_kinematics_test.c"]
 
 
+@pytest.mark.documents
 def test_the_page_has_the_tables_and_a_call_that_compiles(exported: Path, tmp_path: Path) -> None:
     page = PAGE.read_text(encoding="utf-8")
     for function in STATE_FUNCTIONS:
@@ -624,6 +538,7 @@ def test_the_page_has_the_tables_and_a_call_that_compiles(exported: Path, tmp_pa
     compile_c(compilers()[0], *STRICT, "-fsyntax-only", "-I", exported, tmp_path / "call.c")
 
 
+@pytest.mark.documents
 def test_the_test_program_prints_what_the_how_to_shows(exported: Path, tmp_path: Path) -> None:
     if shutil.which("cc") is None:
         pytest.skip("no cc")

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from balancers import STAGES
 from cli.running import run
+from kinds_of_legs import SERVOS_AND_SCREWS as SERVOS
 from problems import MANIPULATORS, as_built
 from scipy.spatial.transform import Rotation
 
@@ -26,10 +27,6 @@ import spm_pin as spm
 FILES = Path(__file__).parent / "linuxcnc"
 MODULES = Path("/usr/lib/linuxcnc/modules")
 PAPER = MANIPULATORS["paper"]
-SERVOS = spm.Manipulator.of_stages(
-    spm.Stage(0.30, 0.25, spm.RRS(crank=0.15, rod=0.35), limits=(-0.5, 1.5)),
-    spm.Stage(0.20, 0.25, spm.PRS(rod=0.30), limits=(-0.05, 0.25)),
-)
 BALANCER = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), limits=(-1.2, 1.4))
 PERIOD = 1e-3
 ASSUMED = {"m": (0.1, 1.0), "rad": (1.0, 10.0)}
@@ -147,11 +144,10 @@ def in_world_mode(machine: Machine, step: Step) -> Step:
 
 BUILT = {
     "robot": as_built(PAPER, 1e-3),
-    "servos": as_built(SERVOS, 1e-3),
     "stage": BALANCER.perturbed(3, length=1e-4, angle=1e-3),
 }
 ROUND_A_SINGULARITY = [1.254, 1.299, 1.428, 1.263, 1.419, 1.409], [1.42, 1.227, 1.384, 1.198, 1.4, 1.421]
-INTERRUPTIONS = "abort", "estop", "off", "joint mode"
+INTERRUPTIONS = "abort", "estop"
 STEPS: dict[str, dict[str, Step]] = {
     "robot": {
         "home": ["on"],
@@ -163,20 +159,7 @@ STEPS: dict[str, dict[str, Step]] = {
         # The straight way from here to the second pose, which the machine never goes, meets a singularity.
         "program": ["program", [*ROUND_A_SINGULARITY, ROUND_A_SINGULARITY[0], [1.2, 1.3, 1.4, 1.2, 1.3, 1.4]], 1800],
         "limit": ["mdi", "G0 Z2900"],
-        "beyond the axes": ["mdi", "G0 X9000"],
         "level": ["mdi", "G0 X0 Y0 A0 B0 C0"],
-        **{f"leg {leg}": ["joint", leg, 90.0 * sign, 85.0] for leg, sign in ((0, 1), (3, 1), (2, -1), (5, -1))},
-        "nearly level": ["axis", 1, 14.0, 20.0],
-        "on again": ["on"],
-        "away": ["joint", 5, 50.0, 50.0],
-    },
-    "servos": {
-        "home": ["on"],
-        "jog of a leg": ["joint", 2, 20.0, 5.0],
-        "jog back": ["joint", 2, -20.0, 5.0],
-        "jog of Z": ["axis", 2, 5.0, 2.0],
-        "first": ["pose", [0.40, 0.45, 0.55, 0.08, 0.09, 0.11], 6000],
-        "second": ["pose", [0.38, 0.44, 0.56, 0.08, 0.10, 0.11], 6000],
     },
     "stage": {
         "home": ["on", 2, 0, 1],
@@ -187,9 +170,7 @@ STEPS: dict[str, dict[str, Step]] = {
         "second": ["pose", [-0.4, 0.5, 0.6], 6000],
         "override": ["override", 2.0],
         **{how: ["interrupt", f"G1 F900 A{15 * (-1) ** k}", how] for k, how in enumerate(INTERRUPTIONS)},
-        "jog over a limit": ["axis", 3, 12.0, 40.0],
-        "on after the jog": ["on"],
-        "back from the limit": ["pose", [0.1, 0.1, 0.1], 6000],
+        "back": ["pose", [0.1, 0.1, 0.1], 6000],
         "limit": ["pose", [1.45, 1.45, 1.45], 6000],
         "beyond the axes": ["mdi", "G0 Z500"],
         "out of reach": ["mdi", "G0 A45 B45"],
@@ -207,15 +188,13 @@ ERRORS = {
     "beyond the axes": r"would exceed [XZ]'s positive limit",
     "level": "fails kinematicsInverse",
     "out of reach": "fails kinematicsInverse",
-    "nearly level": "following error",
     "nearly stretched": "following error",
     "over a limit": "NEGATIVE soft limit",
-    "jog over a limit": "POSITIVE soft limit",
 }
 """LinuxCNC's own."""
 REFUSED = "limit", "beyond the axes", "level", "out of reach"
 """Steps in which nothing moves; it stops on the way in the others."""
-TURNED_OFF = "nearly level", "nearly stretched", "jog over a limit"
+TURNED_OFF = ("nearly stretched",)
 
 
 @pytest.mark.parametrize("case", [x if x == "stage" else pytest.param(x, marks=pytest.mark.slow) for x in STEPS])
@@ -294,7 +273,6 @@ def test_the_simulator_homes_and_moves_a_machine_calibrated_anew(bench: Bench, c
 ROUND_TRIPS: dict[str, tuple[Machine, list[tuple[float, float]]]] = {
     "robot": (PAPER, [(1.101, 1.499)] * 6),
     "servos": (SERVOS, [(0.1, 0.9)] * 3 + [(0.0, 0.1)] * 3),
-    "RPS": (STAGES["RPS"], [(1.0, 1.4)] * 3),
     "PRS": (STAGES["PRS"], [(-0.05, 0.05)] * 3),
     "RRS": (BALANCER, [(-0.5, 1.0)] * 3),
 }
@@ -303,7 +281,11 @@ ROUND_TRIPS: dict[str, tuple[Machine, list[tuple[float, float]]]] = {
 
 @pytest.mark.parametrize(
     ("case", "count"),
-    [("robot", 100_000), ("RRS", 100_000), *(pytest.param(x, 1_000_000, marks=pytest.mark.slow) for x in ROUND_TRIPS)],
+    [
+        ("servos", 30_000),
+        ("RRS", 30_000),
+        *(pytest.param(x, 300_000, marks=pytest.mark.slow) for x in ("robot", "PRS")),
+    ],
 )
 def test_round_trips_in_hal(bench: Bench, case: str, count: int) -> None:
     machine, ranges = ROUND_TRIPS[case]
@@ -316,14 +298,13 @@ def test_round_trips_in_hal(bench: Bench, case: str, count: int) -> None:
     assert done.returncode == 0, done.stderr
     assert found is not None
     refused, others, steep = (int(found[k]) for k in (1, 2, 3))
-    print(case, found[0])
     assert float(found[4]) < 1e-9
     # The inverse displacement of a stage has no singularity there.
     assert refused + others < (0.01 * count if name == "spm" else 1)
     assert steep <= (1e-5 * count if name == "spm" else 0)
 
 
-@pytest.mark.parametrize(("machine", "other"), [(PAPER, SERVOS), (BALANCER, STAGES["PRS"])])
+@pytest.mark.parametrize(("machine", "other"), [(SERVOS, PAPER), (BALANCER, STAGES["PRS"])])
 def test_a_file_that_is_no_machine_of_these_legs_is_refused_with_the_cause(
     bench: Bench, machine: Machine, other: Machine
 ) -> None:

@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 from assembly_mode_changes import (
     RANGES,
-    certificate,
-    circle,
     curve,
     determinant_on_curve,
     falling_on_curve,
@@ -18,8 +16,6 @@ from assembly_mode_changes import (
     reduced_determinant,
     stage_region,
 )
-from problems import PAPER_TILTS, singular_state
-from stages import solve_stage
 
 from spm_pin.kinematics.intervals import Interval
 
@@ -32,12 +28,6 @@ def test_the_tetrahedron_of_the_revolute_axes_has_the_determinant_of_k() -> None
     for row in literature.tetrahedron():
         assert row.ratio == pytest.approx(-1.0, abs=1e-12)
         assert row.deviation < 1e-10
-
-
-def test_the_tetrahedron_degenerates_at_an_inverse_singularity() -> None:
-    planes, structure = literature.tetrahedron_determinants(singular_state(STRUCTURE, *PAPER_TILTS[STRUCTURE]))
-    assert abs(structure) < 1e-14
-    assert abs(planes) < 1e-13
 
 
 def test_strata_have_their_rank_dimension_and_motion() -> None:
@@ -93,17 +83,6 @@ def test_assembly_modes_of_equal_lengths_are_joined_without_a_singularity() -> N
         assert row.least > 0.0, row
 
 
-@pytest.mark.parametrize("epsilon", [0.75, 1.5])
-def test_the_ends_of_a_path_are_assembly_modes_of_the_solver(epsilon: float) -> None:
-    path = circle(epsilon)
-    squares = stage_region(epsilon).evaluate(*(Interval.from_numbers(path[0, i]) for i in range(3))).squares
-    modes = solve_stage(np.sqrt([[0.5 * (s.low + s.high) for s in squares]]), epsilon)
-    above = modes.solutions[0, 0][:, [1, 2, 4]]
-    known = np.concatenate([above, -above])
-    for end in path[[0, -1]]:
-        assert np.nanmin(np.abs(known - end).max(axis=-1)) < 1e-9
-
-
 def test_the_determinant_on_the_circle_is_the_quadratic_of_the_proof() -> None:
     rng = np.random.default_rng(0)
     for epsilon in (-2.0, -0.5, 0.1, 0.3, 0.75, 1.5, 4.0):
@@ -151,25 +130,6 @@ def test_the_determinant_on_the_path_is_that_of_the_stage() -> None:
 
 def middle(interval: Interval) -> np.ndarray:
     return np.asarray(0.5 * (interval.low + interval.high))
-
-
-def test_a_path_through_a_singularity_is_refused() -> None:
-    home, mirrored = [0.0, 0.0, 2.0], [0.01, 0.0, -2.0]
-    with pytest.raises(ValueError, match="determinant"):
-        certificate(1.5, np.array([home, mirrored]), most=5_000)
-    with pytest.raises(ValueError, match="half turn"):
-        certificate(1.5, np.array([home, [1.0, 0.0, 2.0]]))
-
-
-def test_circles_above_the_hips_are_not_in_the_aspect_of_the_home() -> None:
-    for epsilon in (0.75, 1.5, -0.75, -1.5):
-        above = circle(epsilon) * np.sign(circle(epsilon)[0, 2])  # the mirror image where it hangs below
-        determinant = (
-            stage_region(epsilon).evaluate(*(Interval.from_numbers(above[:, i]) for i in range(3))).determinant
-        )
-        home = stage_region(epsilon).evaluate(*(Interval.from_numbers(x) for x in (0.0, 0.0, 1.0))).determinant
-        assert home.low > 0.0
-        assert (determinant.high < 0.0).all()
 
 
 def test_every_table_of_the_page_is_made() -> None:

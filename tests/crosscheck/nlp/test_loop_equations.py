@@ -60,10 +60,9 @@ def test_equations_and_their_jacobian_in_a_machine_as_built() -> None:
         np.testing.assert_allclose((values[0] - values[1]) / (2 * step), jacobian[:, k], atol=1e-12)
 
 
-@pytest.mark.parametrize("built", [False, True])
-@pytest.mark.parametrize(("lower", "upper"), [("RRS", "PRS"), ("PRS", "RRS"), ("RPS", "RRS")])
-def test_readings_and_rates_of_legs_of_any_kind(lower: str, upper: str, built: bool) -> None:
-    machine = machine_of_kinds(lower, upper, built=built)
+@pytest.mark.parametrize(("lower", "upper"), [("RRS", "PRS"), ("PRS", "RRS")])
+def test_readings_and_rates_of_legs_of_any_kind(lower: str, upper: str) -> None:
+    machine = machine_of_kinds(lower, upper, built=True)
     shown, derivatives = nlp.readings(machine), nlp.leg_jacobian(machine)
     for state in states(machine)[:10]:
         np.testing.assert_allclose(np.asarray(shown(*arguments(state))).ravel(), state.readings, rtol=0, atol=1e-13)

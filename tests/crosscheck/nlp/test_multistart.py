@@ -6,19 +6,19 @@ import threading
 
 import numpy as np
 import pytest
+from error_fields import with_fields
 from problems import EXAMPLE, MANIPULATORS, PAPER, at_discriminant, in_leg_space, random_branches
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
 import spm_pin as spm
-from spm_pin.crosscheck import Conditioning, nlp
+from spm_pin.crosscheck import nlp
 from spm_pin.crosscheck import random_poses as draw
-from spm_pin.crosscheck.nlp.branch_search import random_starts
 from spm_pin.machine import Status
 
 FAR = spm.pose([3.0, 3.0, 2.0], xyx=[0.1, 0.5, 0.3])
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_the_paper_s_six_branches_for_every_seed(seed: int) -> None:
     found = nlp.search(PAPER, EXAMPLE, seed=seed)
     assert nlp.search(PAPER, EXAMPLE, seed=seed, starts=5).hits.sum() <= 5
@@ -33,7 +33,7 @@ def test_the_paper_s_six_branches_for_every_seed(seed: int) -> None:
     assert (found.hits[closed.exists] >= 2).all()
 
 
-@pytest.mark.parametrize("name", MANIPULATORS)
+@pytest.mark.parametrize("name", ["paper", "equal triangles"])
 @pytest.mark.parametrize("family", spm.machine.FAMILIES)
 def test_all_branches_over_all_rotations(name: str, family: str) -> None:
     problem = random_branches(MANIPULATORS[name], family, 4, 17)
@@ -46,9 +46,8 @@ def test_all_branches_over_all_rotations(name: str, family: str) -> None:
     assert found.isolated[closed.exists].all()
 
 
-@pytest.mark.parametrize("size", [1e-4, 1e-3, 3e-3])
-def test_the_set_of_branches_of_a_machine_as_built(size: float) -> None:
-    built = PAPER.perturbed(4, length=size, angle=size)
+def test_the_set_of_branches_of_a_calibrated_machine() -> None:
+    built = PAPER.perturbed(4, length=1e-3, angle=1e-3)
     parts = draw.in_leg_space(built, 8, 1), draw.on_all_rotations(built, 4, 2)
     poses = np.concatenate([part.as_matrix() for part in parts])
     found, closed = nlp.search(built, poses), spm.inverse_displacement(built, poses)
@@ -64,7 +63,7 @@ def test_the_set_of_branches_of_a_machine_as_built(size: float) -> None:
     assert (found.hits[exists] > 0).all()
 
 
-@pytest.mark.parametrize("beyond", [1e-2, 1e-6, 1e-10, -1e-10, -1e-6, -1e-2])
+@pytest.mark.parametrize("beyond", [1e-10, -1e-10, -1e-6])
 def test_branches_near_a_fold_are_counted_as_by_the_closed_form(beyond: float) -> None:
     for index, family in enumerate(spm.machine.FAMILIES):
         pose = at_discriminant(random_branches(PAPER, family, 1, 41).pose[0], index, beyond, PAPER)
@@ -90,7 +89,6 @@ def test_results_depend_on_pose_and_seed_not_on_the_batch() -> None:
     "pose",
     [
         FAR,
-        spm.pose([0.0, 0.1, 2.2], xyx=[0.0, 0.4, 0.0]),
         spm.pose([0.1, 0.1, 2.2], rotation=np.eye(3)),
         spm.pose([0.1, 0.1, 2.2], rotation=np.diag([1.0, -1.0, -1.0])),
     ],
@@ -101,21 +99,6 @@ def test_an_unreachable_pose_has_its_status_and_infeasibility(pose: RigidTransfo
     assert found.solutions.status is Status.UNREACHABLE
     assert found.infeasibility > 1e-3
     assert not found.hits.any()
-
-
-def test_infeasibility_is_at_most_the_distance_beyond_the_fold() -> None:
-    measured = []
-    for index, family in enumerate(spm.machine.FAMILIES):
-        poses = random_branches(PAPER, family, 60, 9).pose
-        alone = np.flatnonzero(spm.inverse_displacement(PAPER, poses).count == 2)
-        for k in alone[:2]:
-            for beyond in (-1e-4, -1e-2):
-                outside = nlp.search(PAPER, at_discriminant(poses[int(k)], index, beyond, PAPER))
-                if outside.solutions.status is Status.UNREACHABLE:
-                    measured.append((-beyond, float(outside.infeasibility)))
-    assert len(measured) >= 4
-    for beyond, infeasibility in measured:
-        assert 0.0 < infeasibility <= beyond
 
 
 @pytest.mark.parametrize(
@@ -133,43 +116,6 @@ def test_points_of_a_continuous_family_are_not_reported_as_branches(pose: RigidT
     assert found.solutions.status is Status.DEGENERATE
     np.testing.assert_array_equal(found.solutions.exists, closed.exists)
     assert found.hits.sum() < 512
-
-
-@pytest.mark.parametrize("azimuth", [0.3, 1.3, -2.2])
-def test_isolated_branches_beside_a_continuous_family_are_kept(azimuth: float) -> None:
-    """Rotations about a horizontal axis at the offset where one mixed family is a circle, see the theory.
-
-    The closed form also keeps two branches of equal modes that lie on that circle; they are not isolated.
-    """
-    tilt = 0.9
-    axis = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
-    offset = PAPER.middle_radius * np.sin(tilt / 2) ** 2 * np.sin(3 * azimuth)
-    pose = spm.pose(offset * axis + np.array([0.0, 0.0, 2.0]), rotation=Rotation.from_rotvec(tilt * axis))
-    closed = spm.inverse_displacement(PAPER, pose)
-    assert closed.status is Status.DEGENERATE
-    isolated = Conditioning.from_configuration(closed.configurations).sigma > 1e-7
-    assert isolated.any()
-    found = nlp.search(PAPER, pose)
-    assert found.solutions.status is Status.DEGENERATE
-    np.testing.assert_array_equal(found.solutions.exists, isolated)
-    difference = (found.solutions.middle_joints - closed.middle_joints)[isolated]
-    assert np.abs(difference).max() < 1e-12
-
-
-def test_starts_have_the_right_sides_and_violate_the_planes_least() -> None:
-    built, matrix = PAPER.perturbed(1, length=3e-3, angle=3e-3), EXAMPLE.as_matrix()
-    starts = random_starts(built, matrix, 20, np.random.default_rng(0)).reshape(20, 3, 3)
-    sides = np.linalg.norm(starts - np.roll(starts, -1, axis=1), axis=-1)
-    np.testing.assert_allclose(sides, np.broadcast_to(built.legs.sides, (20, 3)), rtol=1e-12)
-    equations = nlp.closure(built)
-
-    def planes(b: np.ndarray) -> float:
-        residual = np.asarray(equations(b.ravel(), matrix[:3, :3], matrix[:3, 3])[0]).ravel()
-        return float(residual[:6] @ residual[:6])
-
-    for b in starts[:5]:
-        for shift in 1e-3 * np.concatenate([np.eye(3), -np.eye(3)]):
-            assert planes(b + shift) > planes(b)
 
 
 # --- IPOPT -----------------------------------------------------------------------------------------------------------
@@ -192,18 +138,12 @@ def test_ipopt_finds_the_paper_s_branches_none_out_of_reach_and_prints_nothing(
 
 
 @pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"ipopt.max_iters": 3}, "No such IPOPT option: max_iters"),
-        ({"foo": 1}, "options: expected options of casadi.nlpsol"),
-        ({"ipopt.tol": "small"}, "options: expected"),
-        ({"ipopt.linear_solver": "ma27"}, "Invalid_Option"),
-    ],
+    "options", [{"ipopt.max_iters": 3}, {"foo": 1}, {"ipopt.tol": "small"}, {"ipopt.linear_solver": "ma27"}]
 )
-def test_bad_options_raise_an_argument_error(options: dict[str, object], words: str) -> None:
-    with pytest.raises(spm.ArgumentError, match=words):
+def test_bad_options_raise_an_argument_error(options: dict[str, object]) -> None:
+    with pytest.raises(spm.ArgumentError, check=with_fields(argument="options")):
         nlp.search(PAPER, EXAMPLE, solver="ipopt", starts=2, options=options)
-    with pytest.raises(spm.ArgumentError, match="Did you mean solver='ipopt'"):
+    with pytest.raises(spm.ArgumentError, check=with_fields(argument="options")):
         nlp.search(PAPER, EXAMPLE, options={"ipopt.max_iter": 3})
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 import problems
 import pytest
@@ -54,28 +52,18 @@ def condition_bound(configuration: spm.Configuration) -> tuple[np.ndarray, np.nd
     return scales, few * (np.linalg.cond(J_α) * norm(nine) + sigma_k[..., 0] / sigma_k[..., -1] ** 2)
 
 
-@pytest.mark.parametrize(
-    ("name", "family"), [("paper", "in leg space"), *itertools.product(problems.MANIPULATORS, spm.machine.FAMILIES)]
-)
-def test_paper_and_closed_form_agree_at_random(name, family):
+@pytest.mark.parametrize("family", ["in leg space", *spm.machine.FAMILIES])
+def test_paper_and_closed_form_agree_at_random(family):
     if family == "in leg space":
-        problem = problems.in_leg_space(PAPER, 10_000, seed=31)
+        problem = problems.in_leg_space(PAPER, 1_000, seed=31)
     else:
-        problem = problems.random_branches(problems.MANIPULATORS[name], family, 2_500, seed=32)
+        problem = problems.random_branches(problems.MANIPULATORS["wide base"], family, 500, seed=32)
     state = problem.configuration
     scales, bound = condition_bound(state)
     assert (norm((jacobian.J_f(state) - inverse_jacobian(state)) * scales) <= bound).all()
 
 
-def test_the_bound_notices_a_small_error():
-    """A relative error of 1e-9 in one lever arm is far beyond rounding nearly everywhere."""
-    state = problems.in_leg_space(PAPER, 1000, seed=33).configuration
-    scales, bound = condition_bound(state)
-    wrong = np.linalg.solve(jacobian.J_alpha(state), jacobian.J_lambda(state) * (1 + 1e-9 * np.eye(9)[4]))
-    assert (norm((wrong[..., :6, :6] - inverse_jacobian(state)) * scales) > bound).mean() > 0.9
-
-
-@pytest.mark.parametrize("label", ["TT+", "TT-", "TF+", "TF-", "FF+", "FF-"])
+@pytest.mark.parametrize("label", ["TT+", "TF-"])
 def test_all_nine_rows_are_derivatives(label):
     """Rates of the legs and of the lower legs' angles about R_i1, by finite differences of the displacement."""
     exact = jacobian.J(spm.inverse_displacement(PAPER, POSE)[label])[:, :6]
@@ -102,33 +90,6 @@ def test_all_nine_rows_are_derivatives(label):
     tolerance = np.abs(fine - coarse) + 4 * EPS * 3.0 * size / (h / 4)
     assert (tolerance < 1e-5 * size).all(), "too coarse to tell"
     assert (np.abs(fine - exact) <= tolerance).all()
-
-
-@pytest.mark.parametrize("name", problems.MANIPULATORS)
-def test_determinant_of_j_alpha(name):
-    """It is r_b1 r_b2 r_b3 / d³ times det K."""
-    for family in spm.machine.FAMILIES:
-        state = problems.random_branches(problems.MANIPULATORS[name], family, 500, seed=34).configuration
-        d = state.machine.middle_side
-        J_α = jacobian.J_alpha(state)
-        expected = state.leg_lengths[:, :3].prod(axis=-1) / d**3 * spm.determinants(state)[:, 2]
-        J_α_scaled = J_α / [*[1] * 6, d, d, d]
-        error = np.abs(np.linalg.det(J_α) / expected - 1)
-        # d log det A = tr(A⁻¹ dA): nine times the entries' few eps, times the condition number, or det K's own.
-        assert (error <= 9 * 4 * EPS * np.linalg.cond(J_α_scaled)).all()
-
-
-def test_a_batch_is_its_members(six):
-    for function in (jacobian.J_alpha, jacobian.J_lambda, jacobian.J, jacobian.J_f):
-        assert np.array_equal(function(six), np.stack([function(state) for state in six]))
-    branches = spm.inverse_displacement(PAPER, POSE)
-    everything = jacobian.J_f(branches.configurations)
-    assert everything.shape == (8, 6, 6)
-    assert np.array_equal(np.isnan(everything).all(axis=(-1, -2)), ~branches.exists)
-    assert np.array_equal(everything[branches.exists], jacobian.J_f(six))
-    F, T = np.zeros((5, 1, 3)), np.array([1.0, 2.0, 3.0])
-    assert np.isnan(f_r(branches.configurations, F, T)).any(axis=-1).tolist() == [(~branches.exists).tolist()] * 5
-    assert f_r(six[:0], F[0], T).shape == (0, 6)
 
 
 def test_singular_states_are_refused(six):

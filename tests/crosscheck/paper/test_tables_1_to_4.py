@@ -26,22 +26,6 @@ def test_every_printed_digit(found: Reproduction, table: int, cells: int, wrong:
     assert not found.unexplained
 
 
-def test_table_3_has_a_flipped_sign(found: Reproduction) -> None:
-    (cell,) = [cell for cell in found.table(3) if cell.verdict is Verdict.MISPRINT]
-    assert (cell.row, cell.column, cell.published) == ("b_3 Z", "5", "229.93+8.75i")
-    assert matches("229.93-8.75i", cell.recomputed)
-    assert "sign of the imaginary part" in cell.note
-
-
-def test_table_4_lost_one_number_and_shifted_another(found: Reproduction) -> None:
-    empty, shifted = [cell for cell in found.table(4) if cell.verdict is not Verdict.SAME]
-    assert (empty.row, empty.column, empty.verdict) == ("r_b1", "6", Verdict.NOT_PRINTED)
-    assert (shifted.row, shifted.column, shifted.verdict) == ("r_b2", "6", Verdict.MISPRINT)
-    assert matches("176.9975", empty.recomputed)
-    assert shifted.published == "176.9975"
-    assert matches("177.75", shifted.recomputed)
-
-
 def test_resultant_and_closed_form_find_the_same_eight_solutions(found: Reproduction) -> None:
     assert sorted(solution.label for solution in found.solutions) == sorted(spm.machine.BRANCHES)
     # cm; the octic of the paper's route costs it about five digits.
@@ -69,8 +53,6 @@ def test_equation_17_as_printed_has_no_real_root(found: Reproduction) -> None:
         ("-90.26+167.89i", complex(-90.2597, -167.8887), False),
         ("0", 1e-12, True),
         ("0", 0.2, False),
-        ("95.40", 95.404, True),
-        ("122.5390", 122.53903, True),
         ("46.19", complex(46.19, 0.2), False),
     ],
 )
