@@ -57,11 +57,14 @@ def test_every_robot_is_tested() -> None:
 
 @pytest.mark.parametrize("name", MOBILITY)
 def test_mobility_is_that_of_the_mechanism(name: str) -> None:
+    """At their rest pose as well, where some joints stand still for a moment."""
     chain = robot(name)
-    mobility = chain.mobility(at(chain, 0.02))
-    assert (mobility.dof, mobility.actuated_rank, mobility.rank) == MOBILITY[name]
-    assert mobility.is_fully_driven
-    assert not mobility.is_singular
+    for q in (chain.close(), at(chain, 0.02)):
+        mobility = chain.mobility(q)
+        assert (mobility.dof, mobility.actuated_rank, mobility.rank) == MOBILITY[name]
+        assert mobility.is_fully_driven
+        assert not mobility.is_singular
+        assert mobility.undriven == mobility.redundant == mobility.locked == ()
 
 
 @pytest.mark.parametrize("name", MOBILITY)
@@ -95,9 +98,8 @@ def test_forward_and_inverse_undo_each_other(name: str) -> None:
 @pytest.mark.parametrize("name", MOBILITY)
 def test_the_power_of_holding_forces_is_that_of_gravity(name: str) -> None:
     chain = robot(name)
-    q, values = at(chain, 0.02), None
-    values = q[chain.actuated_in_q]
-    tau = chain.state(q, np.zeros(chain.model.nv)).inverse_dynamics(np.zeros(chain.model.nv))
+    q = at(chain, 0.02)
+    values, tau = q[chain.actuated_in_q], chain.state(q).holding_forces()
     step, data = 1e-6, chain.model.createData()
     slopes = []
     for k in range(len(values)):

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from loops.mechanisms import MAKERS, Array, at, mechanism, states
+from loops.mechanisms import MAKERS, Array, mechanism, states
 
 from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.loops.closed_chain import ClosedChain
-from spm_pin.loops.closures import Anchor, Closure
+from tests.loops.robots import at, closure
 
 DRIVEN = [name for name in MAKERS if name not in ("Delta", "parallelogram")]
 
@@ -94,8 +94,8 @@ def test_accelerations_are_differences_of_velocities(name: str) -> None:
 
 def test_rates_at_a_forward_singularity_are_refused() -> None:
     """A four-bar whose coupler and rocker are in line, 0.8 together: its crank stands still while they move."""
-    closure = Closure("hinge", Anchor("coupler", at(0.5)), Anchor("rocker", at(-0.3)), "pin")
-    chain = ClosedChain(mechanism("four-bar").model, [closure], ["crank"], q0=[0.7, 0.1, 1.7])
+    pinned = closure("hinge", "coupler", at(0.5), "rocker", at(-0.3), "pin")
+    chain = ClosedChain(mechanism("four-bar").model, [pinned], ["crank"], q0=[0.7, 0.1, 1.7])
     crank = np.arccos((0.3**2 + 1.0 - 0.8**2) / (2.0 * 0.3))
     direction = np.arctan2(-0.3 * np.sin(crank), 1.0 - 0.3 * np.cos(crank))
     q = np.array([crank, direction - crank, direction])
