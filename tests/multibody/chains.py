@@ -16,7 +16,11 @@ Array = npt.NDArray[np.float64]
 EPS = float(np.finfo(float).eps)
 PAPER = spm.Manipulator.paper()
 POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
-MACHINES = {**problems.MANIPULATORS, "as built": problems.as_built(PAPER, 1e-2)}
+MACHINES = {
+    "paper": PAPER,
+    "millimetres": problems.MANIPULATORS["millimetres"],
+    "as built": problems.as_built(PAPER, 1e-2),
+}
 NAMES = list(MACHINES)
 BALL_ANGLES = ("ball_b1_y", "ball_c1_y")
 
@@ -42,7 +46,7 @@ def placed(name: str, count: int, seed: int) -> list[tuple[spm.Configuration, Ar
         readings = machine.legs.offsets + np.random.default_rng(seed).uniform(1.15, 1.45, (3 * count, 6))
         return [(state, chain(name).joint_values(state)) for state in spm.forward_physical(machine, readings)]
     for family in spm.machine.FAMILIES:
-        for state in problems.random_branches(problems.MANIPULATORS[name], family, count, seed).configuration:
+        for state in problems.random_branches(machine, family, count, seed).configuration:
             q = chain(name).joint_values(state)
             if np.abs(q[chain(name).joint_indices(*BALL_ANGLES)]).max() <= np.deg2rad(85.0):
                 found.append((state, q))

@@ -26,24 +26,28 @@ from spm_pin.multibody.chain import ClosedChain  # noqa: E402
 HOME = np.zeros(18)
 
 
-@pytest.mark.parametrize("name", problems.MANIPULATORS)
-def test_round_trip_in_every_family(name: str) -> None:
+@pytest.mark.parametrize("name", ["paper", "millimetres"])
+@pytest.mark.parametrize("family", spm.machine.FAMILIES)
+def test_round_trip_in_every_family(name: str, family: str) -> None:
     robot = chain(name)
     slides, lower, upper = robot.leg_indices, robot.model.lowerPositionLimit, robot.model.upperPositionLimit
-    for family in spm.machine.FAMILIES:
-        for state in problems.random_branches(robot.machine, family, 50, seed=71).configuration:
-            q = robot.joint_values(state)
-            assert np.abs(robot.state(q).closure_gap()).max() <= 1e-13
-            assert (np.delete(lower, slides) <= np.delete(q, slides)).all()
-            assert (np.delete(q, slides) <= np.delete(upper, slides)).all()
-            found = robot.state(q).configuration()
-            # Ten joints lie between {B} and m, each with a rounding of a rotation and of a position.
-            rounding = 32 * EPS * (1.0 + robot.leg_lengths(q).max())
-            assert np.abs(found.pose.as_matrix() - state.pose.as_matrix()).max() <= rounding
-            assert np.abs(found.middle_joints - state.middle_joints).max() <= rounding
-            assert np.abs(robot.leg_lengths(q) - state.leg_lengths).max() <= rounding
-            assert np.abs(found.leg_lengths - state.leg_lengths).max() <= rounding
-            assert found.closure_residual <= rounding
+    states = problems.random_branches(robot.machine, family, 50, seed=71).configuration
+    q = robot.joint_values(states)
+    assert np.abs(robot.state(q).closure_gap()).max() <= 1e-13
+    others = np.setdiff1d(np.arange(18), slides)
+    assert (lower[others] <= q[:, others]).all()
+    assert (q[:, others] <= upper[others]).all()
+    found = robot.state(q).configuration()
+    # Ten joints lie between {B} and m, each with a rounding of a rotation and of a position.
+    rounding = 32 * EPS * (1.0 + robot.leg_lengths(q).max(axis=-1))
+    for ours, theirs in (
+        (found.pose.as_matrix(), states.pose.as_matrix()),
+        (found.middle_joints, states.middle_joints),
+        (robot.leg_lengths(q), states.leg_lengths),
+        (found.leg_lengths, states.leg_lengths),
+        (found.closure_residual, 0.0),
+    ):
+        assert (np.abs(ours - theirs).reshape(50, -1).max(axis=-1) <= rounding).all()
 
 
 def test_an_open_q_is_an_open_configuration() -> None:
@@ -76,7 +80,7 @@ def test_leg_lengths() -> None:
     assert np.allclose(robot.leg_lengths(q), lengths, atol=4 * EPS)
     passive = np.setdiff1d(np.arange(18), robot.leg_indices)
     assert (q[passive] == 0.1).all()
-    with pytest.raises(ArgumentError, match=r"legs of no negative length, got -0\.2 m in r_c1"):
+    with pytest.raises(ArgumentError, check=with_fields(argument="readings")):
         robot.with_readings(HOME, [1.1, 1.2, 1.3, -0.2, 1.5, -0.1])
 
 
@@ -84,27 +88,15 @@ def test_configurations_without_joint_values_are_refused() -> None:
     branches = spm.inverse_displacement(PAPER, six_branches()[0].pose)
     state = six_branches()[0]
     assert np.array_equal(np.isnan(chain().joint_values(branches.configurations)).all(axis=-1), ~branches.exists)
-    with pytest.raises(ArgumentError, match="expected a configuration that exists, got NaN"):
-        chain().joint_values(branches.configurations[~branches.exists][0])
-    with pytest.raises(ArgumentError, match=r"expected a Configuration, got SolutionSet\. .*\.physical\(\)"):
-        chain().joint_values(branches)
     torn = spm.Configuration(PAPER, state.pose, state.middle_joints + 1e-6 * PAPER.middle_side)
-    rounded = spm.Configuration(PAPER, state.pose, state.middle_joints.round(4))
-    for wrong, gap in ((rounded, r"\d\.\de-05"), (torn, r"\d\.\de-06")):
-        with pytest.raises(ArgumentError, match=f"expected a closed mechanism, got a closure residual of {gap} m"):
+    for wrong in (branches.configurations[~branches.exists][0], branches, torn):
+        with pytest.raises(ArgumentError, check=with_fields(argument="configuration")):
             chain().joint_values(wrong)
     for name in ("base_radius", "platform_radius", "middle_side"):
         other = replace(PAPER, **{name: 1.001 * getattr(PAPER, name)})
-        with pytest.raises(GeometryError, match=f"expected the {name} of the chain, "):
+        with pytest.raises(GeometryError, check=with_fields(argument="configuration")) as caught:
             chain().joint_values(spm.Configuration(other, state.pose, state.middle_joints))
-
-
-def test_legs_of_negative_length_are_refused() -> None:
-    """All other wrong vectors are those of `test_wrong_arguments`."""
-    robot = chain()
-    for call in (robot.leg_lengths, robot.project, robot.state):
-        with pytest.raises(ArgumentError, check=with_fields(argument="q")):
-            call(np.full(18, -2.0))
+        assert name in caught.value.expected
 
 
 def test_results_of_a_state_do_not_change_with_later_updates() -> None:
@@ -163,8 +155,7 @@ def states(robot: Any, count: int, seed: int) -> spm.Configuration:
     return found
 
 
-@pytest.mark.parametrize("size", [0.0, 1e-3, 5e-2])
-@pytest.mark.parametrize("name", problems.MANIPULATORS)
+@pytest.mark.parametrize(("name", "size"), [("paper", 0.0), ("millimetres", 1e-3), ("paper", 5e-2)])
 def test_states_have_joint_values_to_which_their_readings_and_poses_lead(name: str, size: float) -> None:
     robot = built(name, size)
     state, side = states(robot, 20, seed=4), robot.machine.nominal.middle_side
@@ -219,11 +210,11 @@ def test_files_and_geometries_that_do_not_belong_together_are_refused(tmp_path: 
         machine: (None, PAPER, *moved, replace(machine, limits=limited)),
         PAPER: (machine, *larger, replace(PAPER, limits=limited)),
     }
-    file, message = tmp_path / "robot.urdf", "The arguments machine and prefix are those the file was written for"
+    file = tmp_path / "robot.urdf"
     for written, machines in others.items():
         file.write_text(urdf_text(written), encoding="utf-8")
         for machine in machines:
-            with pytest.raises(DescriptionError, match=message):
+            with pytest.raises(DescriptionError, check=with_fields(argument=str(file))):
                 ClosedChain.from_urdf(file, machine)
 
 
@@ -231,14 +222,15 @@ def test_states_of_other_machines_are_refused() -> None:
     robot = built("paper", 1e-3)
     state = states(robot, 2, seed=18)
     nominal = chain().state(chain().joint_values(states(chain(), 1, seed=18))).configuration()
-    with pytest.raises(GeometryError, match=r"the r_b1.direction_1 of the chain, .* rad, got 0 rad"):
-        robot.joint_values(nominal)
-    with pytest.raises(GeometryError, match=r"the r_b1.direction_1 of the chain, 0 rad, got .* rad"):
-        chain().joint_values(state)
+    for own, wrong in ((robot, nominal), (chain(), state)):
+        with pytest.raises(GeometryError, check=with_fields(argument="configuration")) as caught:
+            own.joint_values(wrong)
+        assert "r_b1.direction_1" in caught.value.expected
     other = problems.as_built(PAPER, 1e-3)
     moved = replace(other, legs=replace(other.legs, offsets=other.legs.offsets + 2e-6 * (np.arange(6) == 4)))
-    with pytest.raises(GeometryError, match=r"the r_c2.offset of the chain, .* m, got .* m"):
+    with pytest.raises(GeometryError, check=with_fields(argument="configuration")) as caught:
         robot.joint_values(spm.Configuration(moved, state.pose, state.middle_joints))
+    assert "r_c2.offset" in caught.value.expected
     # Limits of the legs play no part.
     same = spm.Configuration(replace(other, limits=None), state.pose, state.middle_joints)
     np.testing.assert_array_equal(robot.joint_values(same), robot.joint_values(state))

@@ -15,14 +15,13 @@ from finite_differences import extrapolated
 from multibody.chains import Array, plain_accelerations
 
 import spm_pin as spm
-from spm_pin.description import Masses, RigidBody, mjcf_text, urdf_text
+from spm_pin.description import Masses, RigidBody, urdf_text
 from spm_pin.errors import ArgumentError, DescriptionError, GeometryError, SingularConfigurationError, UnreachableError
 from spm_pin.multibody import PlatformPath, SimulationEnd
 
 pytest.importorskip("pinocchio")
 
 WRENCH = np.array([3.0, -2.0, -50.0, 0.4, -0.6, 0.8])
-EACH = MACHINES
 BALANCER = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), limits=(-0.6, 1.2))
 
 
@@ -61,7 +60,7 @@ def test_the_closed_form_of_the_stage(name: str) -> None:
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-13 * np.abs(theirs).max())
 
 
-@pytest.mark.parametrize("name", EACH)
+@pytest.mark.parametrize("name", MACHINES)
 def test_readings_and_poses_are_reached_from_another_state(name: str) -> None:
     chain, states, q = start(name)
     readings = states.readings[0] + 0.03 * chain.machine.size * np.sin(np.arange(3.0))
@@ -81,7 +80,7 @@ def _about_z(angle: float) -> Array:
     return np.array([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
 
 
-@pytest.mark.parametrize("name", EACH)
+@pytest.mark.parametrize("name", MACHINES)
 def test_differences_and_virtual_work_give_rates_and_efforts(name: str) -> None:
     chain, states, q = start(name)
     readings, state = states.readings[0], chain.state(q[0])
@@ -116,7 +115,7 @@ def test_differences_and_virtual_work_give_rates_and_efforts(name: str) -> None:
         assert held == pytest.approx(extrapolated(lambda h, way=way: weight(h, way), step) - moved @ WRENCH, rel=1e-6)
 
 
-@pytest.mark.parametrize("name", EACH)
+@pytest.mark.parametrize("name", MACHINES)
 def test_accelerations_are_those_of_plain_equations_and_of_mujoco(name: str, tmp_path: Path) -> None:
     pytest.importorskip("mujoco")
     chain, q, v, held = moving(name)
@@ -133,7 +132,7 @@ def test_accelerations_are_those_of_plain_equations_and_of_mujoco(name: str, tmp
     np.testing.assert_allclose(chain.state(q, v).inverse_dynamics(found), efforts, rtol=1e-9)
 
 
-@pytest.mark.parametrize("name", EACH)
+@pytest.mark.parametrize("name", MACHINES)
 def test_the_equations_of_motion_of_the_platform(name: str) -> None:
     chain, q, v, _ = moving(name)
     wanted = np.array([0.5, -2.0, 3.0])
@@ -162,53 +161,6 @@ def test_the_equations_of_motion_of_the_platform(name: str) -> None:
     np.testing.assert_allclose(terms.coriolis + terms.coriolis.T, rate, rtol=0, atol=allowed)
 
 
-def test_frequencies_are_the_spectrum_of_the_linearised_motion() -> None:
-    """Accelerations of the legs when each is stretched in turn, its spring pulling back, less those without springs."""
-    chain, states, q = start("RRS")
-    springs, step, columns = np.array([10.0, 20.0, 30.0]), 1e-6, []
-    for leg in np.eye(3):
-        ends = []
-        for sign in (1.0, -1.0):
-            moved = chain.state(chain.forward_kinematics(states.readings[0] + sign * step * leg, near=q[0]))
-            pull = -springs * sign * step * leg
-            ends.append((moved.forward_dynamics(pull) - moved.forward_dynamics(np.zeros(3)))[chain.leg_indices])
-        columns.append((ends[0] - ends[1]) / (2.0 * step))
-    squares = np.sort(-np.linalg.eigvals(np.array(columns).T).real)
-    state = chain.state(q[0])
-    stiffness = state.inverse_jacobian().T @ np.diag(springs) @ state.inverse_jacobian()
-    found = state.natural_frequencies(0.5 * (stiffness + stiffness.T))
-    np.testing.assert_allclose(found.frequencies, np.sqrt(squares) / (2.0 * np.pi), rtol=1e-6)
-
-
-@pytest.mark.parametrize("name", ["RRS", "PRS inclined as built"])
-def test_mujoco_s_own_steps_come_to_the_simulation(name: str) -> None:
-    """The error of its method falls with the step."""
-    mujoco = pytest.importorskip("mujoco")
-    chain, _, all_q = start(name)
-    q, errors, until = all_q[0], [], 0.05
-    efforts = 1.3 * chain.state(q).inverse_dynamics(np.zeros(9))
-    run = chain.simulate(q, np.zeros(9), efforts, [0.0, until])
-    assert run.complete
-    moved = np.abs(run.readings[-1] - run.readings[0]).max()
-    for step in (5e-4, 1.25e-4):
-        text = mjcf_text(chain.machine, collisions="none").replace('timestep="0.001"', f'timestep="{step}"')
-        model = mujoco.MjModel.from_xml_string(text)
-        model.eq_solref[:] = [2.0 * step, 1.0]
-        data = mujoco.MjData(model)
-        for joint, value in zip(chain.joint_names, q, strict=True):
-            data.joint(joint).qpos[0] = value
-        # Its actuators are position servos.
-        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
-        for leg, effort in zip(chain.leg_indices, efforts, strict=True):
-            data.joint(chain.joint_names[leg]).qfrc_applied[0] = effort
-        for _ in range(round(until / step)):
-            mujoco.mj_step(model, data)
-        there = np.array([data.joint(joint).qpos[0] for joint in chain.joint_names])
-        errors.append(np.abs(there - run.q[-1])[chain.leg_indices].max())
-    assert errors[0] < 0.1 * moved
-    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.2)
-
-
 def test_a_stage_that_falls_keeps_its_energy() -> None:
     chain, _, q = start("RPS")
     run = chain.simulate(q[0], np.zeros(9), None, np.linspace(0.0, 0.2, 5))
@@ -219,7 +171,7 @@ def test_a_stage_that_falls_keeps_its_energy() -> None:
     assert run.closure_gap.max() <= 1e-14
 
 
-@pytest.mark.parametrize("name", EACH)
+@pytest.mark.parametrize("name", MACHINES)
 def test_the_path_of_a_platform_is_followed_by_its_normal_and_height(name: str) -> None:
     chain, states, q = start(name)
     # Poses that no stage has: without shift and torsion of their own.
