@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from calibration.measured import PAPER, elsewhere, measure
+from error_fields import with_fields
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import spm_pin as spm
 from spm_pin import calibration
 from spm_pin.calibration import MeasurementError, error_jacobian, identify, tolerance
-from spm_pin.calibration.error_model import gauge_directions, parameter_scale
+from spm_pin.calibration.error_model import parameter_scale
 from spm_pin.machine import PRS, RPS, RRS, LegKind, Stage
 
 STAGES: dict[str, tuple[LegKind, tuple[float, float]]] = {
@@ -18,7 +19,7 @@ STAGES: dict[str, tuple[LegKind, tuple[float, float]]] = {
     "PRS": (PRS(rod=0.30, direction=1.4), (0.00, 0.12)),
     "RRS": (RRS(crank=0.15, rod=0.35), (0.1, 0.9)),
 }
-PAIRS = [("RPS", "PRS"), ("PRS", "RRS"), ("RRS", "RPS"), ("PRS", "PRS")]
+PAIRS = [("RPS", "RPS"), ("PRS", "RRS"), ("RRS", "PRS")]
 
 
 def machine_of(lower: str, upper: str) -> spm.Manipulator:
@@ -37,9 +38,13 @@ def measured(machine: spm.Manipulator, readings: np.ndarray) -> np.ndarray:
     return spm.forward_physical(machine, readings).pose.as_matrix()
 
 
+@pytest.mark.parametrize("is_nominal", [False, True])
 @pytest.mark.parametrize(("lower", "upper"), PAIRS)
-def test_errors_of_all_parameters_move_the_platform_as_its_displacement_says(lower: str, upper: str) -> None:
-    machine = machine_of(lower, upper).perturbed(3, length=2e-3, angle=1e-2)
+def test_errors_of_all_parameters_move_the_platform_as_its_displacement_says(
+    lower: str, upper: str, is_nominal: bool
+) -> None:
+    machine = machine_of(lower, upper)
+    machine = machine if is_nominal else machine.perturbed(3, length=2e-3, angle=1e-2)
     found = states(machine, 12)
     assert len(found) >= 10
     jacobian, unit = error_jacobian(found), 1e-6
@@ -54,42 +59,7 @@ def test_errors_of_all_parameters_move_the_platform_as_its_displacement_says(low
         np.testing.assert_allclose(moved, jacobian[..., k], atol=1e-6 * max(np.abs(jacobian[..., k]).max(), 1.0))
 
 
-@pytest.mark.parametrize(("lower", "upper"), PAIRS)
-def test_what_no_measurement_shows_is_known(lower: str, upper: str) -> None:
-    """The null space of the derivative by all parameters and frames is spanned by the gauge directions, no more."""
-    machine = machine_of(lower, upper).perturbed(3, length=2e-3, angle=1e-2)
-    found = states(machine, 60)
-    seen_from = calibration.frames.Frames(
-        *(
-            RigidTransform.from_components(*pair).as_matrix()
-            for pair in (
-                ([3, 1, 0.5], Rotation.from_rotvec([0.1, 0.4, 2.0])),
-                ([0.1, 0.05, 0.2], Rotation.from_rotvec([1, 2, 3])),
-            )
-        )
-    )
-    hidden, slides = gauge_directions(machine, seen_from.base, seen_from.target), 3 * (lower, upper).count("PRS")
-    for components, frames in ((6, True), (3, True), (6, False), (3, False)):
-        rows = (
-            seen_from.jacobian(found)[:, :components]
-            if frames
-            else calibration.frames.Frames.as_defined().jacobian(found)[:, :components]
-        )
-        used = np.arange(rows.shape[-1]) < len(machine.parameters) + (6 + components if frames else 0)
-        scale = np.concatenate([parameter_scale(machine), np.ones(12)])
-        matrix = (rows * scale).reshape(-1, len(scale))[:, used]
-        values = np.linalg.svd(matrix, compute_uv=False)
-        count = (18 if frames else 6 if components == 6 else 9) + slides
-        assert values[-count - 1] > 1e-9 * values[0]
-        assert values[-count] < 1e-13 * values[0]
-        if frames:
-            shown = (hidden / scale[:, None])[used]
-            assert np.linalg.matrix_rank(shown, tol=1e-9) == count
-            np.testing.assert_allclose(matrix @ shown, 0.0, atol=1e-13 * values[0])
-
-
-@pytest.mark.parametrize("positions_only", [False, True])
-@pytest.mark.parametrize(("lower", "upper"), [("RRS", "PRS"), ("PRS", "RRS"), ("RRS", "RRS")])
+@pytest.mark.parametrize(("lower", "upper", "positions_only"), [("RRS", "PRS", False), ("PRS", "RRS", True)])
 def test_servos_and_screws_are_identified(lower: str, upper: str, positions_only: bool) -> None:
     nominal = machine_of(lower, upper)
     true = nominal.perturbed(2, length=1e-4, angle=5e-4)
@@ -128,10 +98,10 @@ def test_parts_of_a_leg_alone_are_identified() -> None:
 def test_angles_in_degrees_and_lengths_in_millimetres_are_named() -> None:
     nominal = machine_of("RRS", "PRS")
     plan = states(nominal, 30)
-    for factors, message in (([180.0 / np.pi, 1.0], "radians.*degrees"), ([1.0, 1e3], "metres.*out of proportion")):
-        readings = plan.readings * np.repeat(factors, 3)
-        with pytest.raises(spm.ArgumentError, match=f"readings.*{message}"):
-            identify(nominal, plan.pose, readings)
+    for factors, unit in (([180.0 / np.pi, 1.0], "radians"), ([1.0, 1e3], "metres")):
+        with pytest.raises(spm.ArgumentError, check=with_fields(argument="readings")) as caught:
+            identify(nominal, plan.pose, plan.readings * np.repeat(factors, 3))
+        assert unit in caught.value.expected
 
 
 def test_tolerances_of_cranks_and_rods() -> None:
@@ -190,7 +160,3 @@ def test_with_tolerances_what_is_seen_badly_stays_as_near_as_machines_are_made()
         assert found.status == "fits"
         predicted, exact = (measured(x, elsewhere().readings) for x in (found.machine, true))
         assert np.linalg.norm((predicted - exact)[:, :3, 3], axis=-1).max() < 4e-5
-    certificate = spm.certify(held.machine, spm.LegLimits(1.1, 1.5))
-    assert certificate.holds
-    assert certificate.errors[0] < 4e-4
-    assert spm.certify(free.machine, spm.LegLimits(1.15, 1.45), boxes=4_000).errors[0] > 2e-3

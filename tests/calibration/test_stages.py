@@ -33,13 +33,12 @@ LIMITED = {
         0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), limits=(-0.5, 1.1), azimuths=np.radians([0, 120, 240])
     ),
 }
-KINDS = pytest.mark.parametrize("kind", LIMITED)
-ROBOTS = {
-    "robot": PAPER,
-    "robot of servos": spm.Manipulator.of_stages(
-        *(spm.Stage(base, 0.25, spm.RRS(crank=0.15, rod=0.35), limits=(0.1, 0.9)) for base in (0.30, 0.22))
-    ),
-}
+KINDS = pytest.mark.parametrize("kind", ["RPS", "PRS", "RRS"])
+SERVOS, SCREWS = (
+    spm.Stage(0.30, 0.25, spm.RRS(crank=0.15, rod=0.35), limits=(0.1, 0.9)),
+    spm.Stage(0.22, 0.25, spm.PRS(rod=0.30, direction=1.4), limits=(0.00, 0.12)),
+)
+ROBOTS = {"robot": PAPER, "robot of servos and screws": spm.Manipulator.of_stages(SERVOS, SCREWS)}
 
 
 def imu_and_ruler(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -137,8 +136,13 @@ def test_components_and_frames_have_the_derivatives_that_differences_have(name: 
         np.testing.assert_allclose((ends[0] - ends[1]) / 2e-6, slopes[..., k - 12], atol=1e-8)
 
 
-@KINDS
-@pytest.mark.parametrize("measured", ["poses", "positions", "inclinations", "with gaps", "tilts", "heights"])
+@pytest.mark.parametrize(
+    ("kind", "measured"),
+    [
+        *((kind, seen) for kind in ("RPS", "PRS", "RRS turned") for seen in ("inclinations", "tilts")),
+        *(("RRS", seen) for seen in ("poses", "positions", "with gaps", "heights")),
+    ],
+)
 def test_a_stage_is_identified_from_what_is_measured(kind: str, measured: str) -> None:
     nominal, true, readings, poses = true_and_plan(kind)
     roll, pitch, height = imu_and_ruler(poses)
@@ -197,7 +201,7 @@ def test_the_base_s_tilt_and_the_imu_s_mounting_are_estimated_with_the_stage(kin
     )
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_balancer_is_predicted_as_well_as_its_covariance_says(seed: int) -> None:
     """Servos set badly, measured by an IMU and a ruler of a hobby."""
     nominal, rng = LIMITED["RRS"], np.random.default_rng(seed)
@@ -315,8 +319,7 @@ def test_tolerances_of_a_stage_are_those_of_random_ones(kind: str) -> None:
         calibration.tolerance(LIMITED[kind], table, elsewhere())
 
 
-@KINDS
-@pytest.mark.parametrize("frames", [False, True])
+@pytest.mark.parametrize(("kind", "frames"), [("RPS", False), ("PRS", True), ("RRS", False)])
 def test_chosen_poses_of_a_stage_determine_more_than_random_ones(kind: str, frames: bool) -> None:
     nominal, _, _, _ = true_and_plan(kind)
     options: Any = {"measured": "inclinations", "frames": frames, "rng": 3}

@@ -59,7 +59,7 @@ def results_of_state(method: str, state: Any, w: Array) -> list[Array]:
 
 
 @pytest.mark.parametrize("method", [*OF_A_CHAIN, *SIGNATURES])
-@pytest.mark.parametrize("shape", [(1,), (3, 1, 2), (0,)], ids=str)
+@pytest.mark.parametrize("shape", [(3, 1, 2), (0,)], ids=str)
 def test_members(method: str, shape: tuple[int, ...]) -> None:
     robot, rng = chain(), np.random.default_rng(300)
     states = placed("paper", 3, seed=301)[: max(1, int(np.prod(shape)))]
@@ -158,15 +158,6 @@ def test_rates_and_forces_of_open_loops_do_not_exist(method: str) -> None:
         assert np.isfinite(closed).all()
         assert np.isnan(opened).all()
     assert {index: type(error) for index, error in state.failures.items()} == {(1,): ClosureError}
-
-
-def test_wrong_arguments_name_the_member() -> None:
-    robot, rest = chain(), np.zeros(18)
-    q = placed("paper", 1, seed=304)[0][1]
-    with pytest.raises(ArgumentError, check=with_fields(argument="v")):
-        robot.state(q, [rest, rest, rest + 1.0]).inverse_dynamics(rest)
-    with pytest.raises(ArgumentError, check=with_fields(argument="v")):
-        robot.state([q, q], [rest, rest, rest])
 
 
 def test_threads_compute_at_the_same_time() -> None:

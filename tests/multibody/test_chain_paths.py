@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from error_fields import with_fields
-from multibody.chains import EPS, MACHINES, NAMES, PAPER, POSE, chain, placed, random_q, rounding, six_branches
+from multibody.chains import EPS, MACHINES, NAMES, PAPER, POSE, chain, placed, random_q, rounding
 
 import spm_pin as spm
 from spm_pin.errors import (
@@ -72,18 +72,6 @@ def test_poses_are_reached_in_the_branch_started_from() -> None:
         assert list(spm.inverse_displacement(PAPER, spm.pose(around, rotation=POSE.rotation)).count) == [6, 4]
 
 
-def test_rates_are_the_other_way_of_joint_velocities() -> None:
-    robot = chain()
-    for state in six_branches():
-        q = robot.joint_values(state)
-        rates = np.random.default_rng(402).normal(size=6)
-        v = robot.state(q).joint_rates(rates)
-        assert np.array_equal(v[robot.leg_indices], rates) or np.allclose(v[robot.leg_indices], rates, rtol=1e-14)
-        twist = spm.kinematics.platform_jacobian(state) @ rates
-        allowed = 1e-10 * np.abs(v).max() / robot.state(q).singular_values().inverse
-        assert np.abs(robot.state(q).joint_velocities(twist) - v).max() <= allowed
-
-
 def test_unreachable_targets() -> None:
     robot = chain()
     q = robot.forward_kinematics([1.2, 1.2, 1.4, 1.25, 1.2, 1.45])
@@ -127,8 +115,8 @@ def test_eased_paths_rest_at_both_ends_and_others_meet_their_poses() -> None:
 
 def test_invalid_paths_and_trajectories_are_refused() -> None:
     path = PlatformPath([0.0, 1.0, 2.0], WAYPOINTS)
-    for times, message in (([0.0, 0.0, 1.0], "increasing"), ([0.0], "at least 2")):
-        with pytest.raises(ArgumentError, match=f"^times: .*{message}"):
+    for times in ([0.0, 0.0, 1.0], [0.0]):
+        with pytest.raises(ArgumentError, check=with_fields(argument="times")):
             PlatformPath(times, WAYPOINTS)
     with pytest.raises(PoseError, check=with_fields(argument="poses")):
         PlatformPath([0.0, 1.0], WAYPOINTS)
@@ -136,15 +124,10 @@ def test_invalid_paths_and_trajectories_are_refused() -> None:
         path([0.0, 2.1])
     robot = chain()
     q = robot.joint_values(spm.inverse_displacement(PAPER, WAYPOINTS[0]).physical())
-    for path_of_wrong_kind in (WAYPOINTS, lambda: None, lambda t, q: None):
-        with pytest.raises(ArgumentError) as caught:
-            robot.joint_trajectory(path_of_wrong_kind, [0.0, 1.0], q)
-        assert (caught.value.argument, caught.value.index) == ("path", "")
-    with pytest.raises(ArgumentError, check=with_fields(argument="path")):
-        robot.joint_trajectory(lambda t: PlatformMotion(POSE, np.zeros(3), np.zeros(6)), [0.0, 1.0], q)
-    for motion in (None, (POSE, np.zeros(6))):
-        with pytest.raises(ArgumentError, check=with_fields(argument="path")):
-            robot.joint_trajectory(lambda t, motion=motion: motion, [0.0, 1.0], q)
+    motions = PlatformMotion(POSE, np.zeros(3), np.zeros(6)), None, (POSE, np.zeros(6))
+    for wrong in (WAYPOINTS, lambda: None, lambda t, q: None, *(lambda t, motion=motion: motion for motion in motions)):
+        with pytest.raises(ArgumentError, check=with_fields(argument="path", index="")):
+            robot.joint_trajectory(wrong, [0.0, 1.0], q)
     away = PlatformPath([0.0, 1.0], spm.pose([POSE.translation, [0.0, 0.0, 9.0]], xyx=[[0.1, 0.2, 0.3]] * 2))
     with pytest.raises(ClosureError, match=r"At batch index \(\d+,\)"):
         robot.joint_trajectory(away, np.linspace(0.0, 1.0, 5), q)
@@ -152,8 +135,9 @@ def test_invalid_paths_and_trajectories_are_refused() -> None:
         robot.joint_trajectory(path, [0.0, 3.0], q)
     up = WAYPOINTS[0].translation + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.2]])
     beyond = PlatformPath([0.0, 1.0], spm.pose(up, rotation=np.stack([WAYPOINTS[0].rotation.as_matrix()] * 2)))
-    with pytest.raises(UnreachableError, match=r"LegLimits\(1.1, 1.5\), got r_b3 of 1.50\d+ m at time 0"):
+    with pytest.raises(UnreachableError, check=with_fields(argument="path")) as caught:
         robot.joint_trajectory(beyond, np.linspace(0.0, 1.0, 51), q)
+    assert caught.value.received.startswith("r_b3 of 1.50")
 
 
 def test_all_joints_of_a_platform_path() -> None:
@@ -247,41 +231,32 @@ def test_random_modes_arrive_where_fine_steps_lead() -> None:
 
 def test_targets_that_no_physical_mode_has_are_refused_or_nan() -> None:
     readings = np.array([[1.3] * 6, [1.2, 1.2, 1.2, 1.2, 1.2, 9.0]])
-    near = "Pass a closed q as near: the solution on the path from there need not be physical."
-    lengths = (
-        "readings: expected readings that the physical assembly mode can have, got [1.2, 1.2, 1.2, 1.2, 1.2, 9]. "
-        f"With these readings no configuration is reached from the home without a forward singularity. {near}"
-    )
     home, away = spm.pose([0.0, 0.0, 2.3], xyx=[0.0, 0.0, 0.0]), spm.pose([0.1, 0.2, 9.0], xyx=[0.1, 0.2, 0.3])
-    turn = ", ".join(f"{angle:.9g}" for angle in away.rotation.as_rotvec())
-    turned = "pose: expected poses that a physical branch has, got o at {} m, turned by the rotation vector [{}] rad. "
-    level = turned.format("[0, 0, 2.3]", "0, 0, 0") + "A level platform over the axis of the base"
-    high = turned.format("[0.1, 0.2, 9]", turn) + "Out of reach: no solution is real. For the nearest pose"
     forward, inverse = chain().forward_kinematics, chain().inverse_kinematics
-    for call, target, text in ((forward, readings[1], lengths), (inverse, home, level), (inverse, away, high)):
-        with pytest.raises(ArgumentError) as caught:
+    for call, target, argument, cause in (
+        (forward, readings[1], "readings", "With these readings no configuration is reached from the home"),
+        (inverse, home, "pose", "A level platform over the axis of the base"),
+        (inverse, away, "pose", "Out of reach: no solution is real. For the nearest pose"),
+    ):
+        with pytest.raises(ArgumentError, check=with_fields(argument=argument)) as caught:
             call(target)
-        assert str(caught.value).startswith(text)
-        assert str(caught.value).endswith(near)
+        assert caught.value.cause.startswith(cause)
+        assert "Pass a closed q as near" in caught.value.cause
     for call, targets in ((forward, readings), (inverse, np.stack([POSE.as_matrix(), away.as_matrix()]))):
         found = call(targets)
         assert np.array_equal(found[0], call(targets[0]))
         assert np.isnan(found[1]).all()
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_the_physical_branch_is_that_of_all_branches(name: str) -> None:
-    machine, robot = MACHINES[name], chain(name)
-    rng = np.random.default_rng(415)
-    readings = robot.readings(np.zeros(18)) * rng.uniform(0.98, 1.02, (20, 6))
+def test_the_physical_branch_is_that_of_all_branches() -> None:
+    machine, robot = MACHINES["as built"], chain("as built")
+    readings = robot.readings(np.zeros(18)) * np.random.default_rng(415).uniform(0.98, 1.02, (20, 6))
     poses = spm.forward_physical(machine, readings).pose
-    expected = robot.joint_values(spm.inverse_displacement(machine, poses).physical())
     together = robot.inverse_kinematics(poses)
-    assert np.array_equal(together, expected)
+    assert np.array_equal(together, robot.joint_values(spm.inverse_displacement(machine, poses).physical()))
     assert robot.inverse_kinematics(poses[:0]).shape == (0, 18)
     # The same by continuation from beside it.
-    near = robot.forward_kinematics(readings[7] + 1e-4 * machine.middle_side * rng.normal(size=6))
-    followed = robot.inverse_kinematics(poses[7], near)
+    followed = robot.inverse_kinematics(poses[7], robot.forward_kinematics(readings[7] + 1e-4))
     assert np.abs(np.exp(1j * followed) - np.exp(1j * together[7])).max() <= 1e-9
 
 
