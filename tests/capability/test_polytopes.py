@@ -14,7 +14,7 @@ from spm_pin.kinematics import platform_jacobian
 
 PAPER = spm.Manipulator.paper()
 MACHINE = PAPER.perturbed(2, length=0.01, angle=0.02)
-LENGTHS = np.random.default_rng(0).uniform(1.15, 1.45, (1000, 6))
+LENGTHS = np.random.default_rng(0).uniform(1.15, 1.45, (100, 6))
 STATES = spm.forward_physical(MACHINE, LENGTHS)
 STATE = spm.forward_physical(PAPER, [1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
 LOWER = np.array([-400.0, -500.0, -600.0, -700.0, -300.0, -450.0])
@@ -58,9 +58,9 @@ def test_vertices_lie_on_six_facets_and_inside_the_others() -> None:
         assert ((np.abs(gaps) < 1e-9).sum(axis=-1) == 6).all()
 
 
-def test_extents_of_a_thousand_states_are_those_of_linear_programs() -> None:
+def test_extents_of_a_hundred_states_are_those_of_linear_programs() -> None:
     """Unknown: six leg forces and the multiple t of a direction; the equilibrium is that of `inverse_jacobian`."""
-    directions = np.random.default_rng(1).normal(size=(1000, 6))
+    directions = np.random.default_rng(1).normal(size=(100, 6))
     found = wrench_polytope(STATES, LIMITS, load=LOAD).extent(directions)
     jacobians, bounds = spm.inverse_jacobian(STATES), [*zip(LOWER, UPPER, strict=True), (0.0, None)]
     expected = []
@@ -71,7 +71,7 @@ def test_extents_of_a_thousand_states_are_those_of_linear_programs() -> None:
         program = linprog([0.0] * 6 + [-1.0], A_eq=balance / scale[:, None], b_eq=-LOAD / scale, bounds=bounds)
         expected.append(program.x[6] if program.status == 0 else 0.0)
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6)
-    assert np.count_nonzero(found) > 900
+    assert np.count_nonzero(found) > 90
 
 
 def test_balls_touch_a_facet_and_are_inside() -> None:

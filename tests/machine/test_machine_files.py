@@ -131,7 +131,7 @@ FRAGMENTS = st.sampled_from(WORDS) | st.sampled_from(":[]{}!%|>'\"\\#@`.e~\t") |
 EDIT = st.tuples(st.integers(0, len(GOOD)), st.integers(0, 6), FRAGMENTS)
 
 
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.lists(EDIT, min_size=1, max_size=4))
 @pytest.mark.filterwarnings("ignore:.*another unit")
 def test_a_mutated_file_gives_a_geometry_or_a_geometry_error(tmp_path: Path, edits: list[tuple[int, int, str]]) -> None:
