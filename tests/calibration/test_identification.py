@@ -272,20 +272,6 @@ def test_errors_of_one_percent_are_taken_for_manufacture(seed: int) -> None:
     assert position_errors(identify(PAPER, *measure(machine, seed)).machine, machine).max() < 5e-5
 
 
-@pytest.mark.slow
-def test_chosen_poses_identify_better_than_random_ones() -> None:
-    random = elsewhere()[:40]
-    machine = PAPER.perturbed(6)
-    chosen, others = (identify(PAPER, *measure(machine, 7, states=states)) for states in (plan(), random))
-    # D: the volume of the ellipsoid of uncertainty, here as a mean deviation.
-    assert np.log(chosen.deviations).mean() < np.log(others.deviations).mean() - 0.1
-    assert len(np.unique(plan().leg_lengths, axis=0)) == 40
-    assert PAPER.limits is not None
-    assert PAPER.limits.contains(plan().leg_lengths).all()
-    again = calibration.choose_poses(PAPER, 40, candidates=300, rng=0)
-    np.testing.assert_array_equal(again.leg_lengths, plan().leg_lengths)
-
-
 def test_few_candidates_are_chosen_from_as_by_trying_all() -> None:
     legs = np.random.default_rng(8).uniform(1.1, 1.5, (6, 6))
     states = spm.forward_physical(PAPER, legs)
@@ -349,15 +335,6 @@ def test_a_malformed_file_is_refused_with_line_and_column(tmp_path: Path, text: 
         calibration.read_measurements(file)
     with pytest.raises(MeasurementError, match="No such file"):
         calibration.read_measurements(tmp_path / "other.csv")
-
-
-def test_columns_that_are_not_used_are_listed(tmp_path: Path) -> None:
-    file = tmp_path / "measured.csv"
-    file.write_text(f"{HEADING},roll,note\n{ROW},1,2\n", encoding="utf-8")
-    with pytest.warns(UserWarning, match=r"measured\.csv: columns that are not used: roll, note"):
-        poses, readings = calibration.read_measurements(file)
-    assert poses.shape == (1,)
-    assert readings.shape == (1, 6)
 
 
 def test_named_columns_of_a_table_are_taken_by_their_names() -> None:

@@ -58,11 +58,20 @@ def true_and_plan(kind: str, count: int = 60) -> tuple[spm.Stage, spm.Stage, np.
     return nominal, true, states.readings, states.pose.as_matrix()
 
 
-@pytest.mark.parametrize("machine", MACHINES)
+def machine_and_states(name: str, count: int) -> tuple[Any, Any]:
+    if name in MACHINES:
+        stage, height = stage_and_height(name)
+        return stage, existing_states(stage, height, count)
+    robot = ROBOTS[name].perturbed(3, length=2e-3, angle=1e-2)
+    states = spm.forward_physical(robot, np.random.default_rng(1).uniform(*ROBOTS[name].limits.ends, (count, 6)))
+    return robot, states[states.exists]
+
+
+@pytest.mark.parametrize("machine", [*MACHINES, *ROBOTS])
 def test_errors_of_all_parameters_move_the_platform_as_its_displacement_says(machine: str) -> None:
-    stage, height = stage_and_height(machine)
-    states = existing_states(stage, height, 12)
-    states = states[spm.singularities(states).forward > 0.1]
+    stage, states = machine_and_states(machine, 12)
+    if machine in MACHINES:
+        states = states[spm.singularities(states).forward > 0.1]
     assert len(states) > 5
     jacobian = error_jacobian(states)
     assert jacobian.shape == (len(states), 6, len(stage.parameter_names))
@@ -79,8 +88,10 @@ def test_errors_of_all_parameters_move_the_platform_as_its_displacement_says(mac
         np.testing.assert_allclose(moved, exact, atol=1e-7 * np.abs(exact).max() + 1e-14)
 
 
-def _state_of(stage: spm.Stage, near: spm.machine.StageConfiguration) -> spm.machine.StageConfiguration:
-    """States of another stage with the tilts and heights of `near`, in the same mode."""
+def _state_of(stage: Any, near: Any) -> Any:
+    """States of another stage with the tilts and heights of `near`, in the same mode; none of a robot."""
+    if isinstance(stage, spm.Manipulator):
+        return None
     solutions = spm.inverse_displacement(stage, near.height, normal=near.normal)
     return solutions.configurations[:, 0]
 
@@ -90,14 +101,7 @@ def _state_of(stage: spm.Stage, near: spm.machine.StageConfiguration) -> spm.mac
 def test_what_no_measurement_shows_is_known(machine: str, frames: bool) -> None:
     """The null space of the derivative is spanned by the gauge directions, no more, whatever is measured."""
     is_robot = machine in ROBOTS
-    if is_robot:
-        stage = ROBOTS[machine].perturbed(3, length=2e-3, angle=1e-2)
-        low, high = ROBOTS[machine].limits.ends
-        states = spm.forward_physical(stage, np.random.default_rng(1).uniform(low, high, (90, 6)))
-        states = states[states.exists]
-    else:
-        stage, height = stage_and_height(machine)
-        states = existing_states(stage, height, 60)
+    stage, states = machine_and_states(machine, 90 if is_robot else 60)
     seen_from, own = FRAMES if frames else Frames.as_defined(), len(stage.parameters)
     scale = np.concatenate([parameter_scale(stage), np.tile(np.repeat([stage.ball_side, 1.0], 3), 2)])
     poses = seen_from.seen(states)

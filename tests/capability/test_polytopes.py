@@ -49,15 +49,6 @@ def test_vertices_and_facets_are_those_of_pycapacity(index: int) -> None:
     np.testing.assert_allclose(ordered(mine), ordered(their), rtol=0, atol=1e-12)
 
 
-def test_vertices_lie_on_six_facets_and_inside_the_others() -> None:
-    for polytope in (wrench_polytope(STATES, LIMITS, load=LOAD), velocity_polytope(STATES, LIMITS)):
-        matrix, b = polytope.half_spaces
-        values = np.einsum("nij,nvj->nvi", matrix, polytope.vertices)
-        gaps = (b[:, None] - values) / 1000.0
-        assert gaps.min() > -1e-9
-        assert ((np.abs(gaps) < 1e-9).sum(axis=-1) == 6).all()
-
-
 def test_extents_of_a_hundred_states_are_those_of_linear_programs() -> None:
     """Unknown: six leg forces and the multiple t of a direction; the equilibrium is that of `inverse_jacobian`."""
     directions = np.random.default_rng(1).normal(size=(100, 6))
@@ -133,14 +124,6 @@ def test_accelerations_are_those_of_the_dynamics() -> None:
         forces = 5.0 * np.where((corner >> np.arange(6)) & 1, UPPER, LOWER)
         expected = state.platform_acceleration(state.forward_dynamics(forces))
         np.testing.assert_allclose(polytope.vertices[corner], expected, rtol=1e-8, atol=1e-6)
-    # At rest, an acceleration on a facet takes a leg to its limit.
-    direction = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-    still = chain.state(q).platform_dynamics()
-    polytope = acceleration_polytope(STATE, 5.0 * LIMITS, still.mass, -still.gravity)
-    most = polytope.extent(direction) * direction
-    rest = chain.state(q)
-    forces = rest.inverse_dynamics(rest.joint_accelerations(most))
-    assert np.minimum(np.abs(forces - 5.0 * LOWER), np.abs(forces - 5.0 * UPPER)).min() < 1e-6
 
 
 def test_singular_sets_have_no_end() -> None:
@@ -184,7 +167,7 @@ def test_batches_hold_absent_members_and_overloaded_ones() -> None:
     too_much = wrench_polytope(STATE, 1.0, load=[0.0, 0.0, -1e4, 0.0, 0.0, 0.0])
     assert too_much.ball() == too_much.extent(LOAD) == 0.0
     too_much = wrench_polytope(STATE, 1.0, load=[0.0, 0.0, 0.0, 1e4, 0.0, 0.0])
-    with pytest.raises(spm.ArgumentError, match="empty"):
+    with pytest.raises(spm.ArgumentError, check=with_fields(argument="polytope")):
         too_much.section()
     loads = wrench_polytope(STATE, 1000.0, load=np.zeros((3, 6)))
     assert loads.ball().shape == (3,)

@@ -100,15 +100,6 @@ def test_polytopes_of_servos_and_screws_are_those_of_efforts_and_rates() -> None
     np.testing.assert_allclose(np.abs(rates), np.broadcast_to(limits, rates.shape), rtol=1e-6)
 
 
-def test_a_ball_s_rows_bound_its_resultant_to_two_percent() -> None:
-    states = spm.forward_physical(PAPER, LENGTHS)
-    forces, _ = leg_loads(states)
-    resultant = np.linalg.norm(forces, axis=-1)
-    largest = np.abs(joint_reactions(states).ball @ WRENCH).reshape(2, 6, 8).max(axis=-1)
-    assert (largest >= resultant * (1.0 - 1e-12)).all()
-    assert (largest <= 1.02 * resultant).all()
-
-
 def test_a_bearing_s_limit_counts() -> None:
     state = spm.forward_physical(PAPER, LENGTHS[0])
     reactions, held = joint_reactions(state), wrench_polytope(state, 1000.0)

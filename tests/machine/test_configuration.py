@@ -139,20 +139,6 @@ def test_a_single_state_is_no_sequence(configuration: spm.Configuration) -> None
         len(configuration)
 
 
-def test_a_defect_while_indexing_is_not_blamed_on_the_index(
-    configuration: spm.Configuration, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def broken(*_: object) -> None:
-        raise ZeroDivisionError
-
-    batch = stacked([configuration, configuration])
-    monkeypatch.setattr(spm.Configuration, "transformed", broken)
-    with pytest.raises(ZeroDivisionError):
-        batch[0]
-    with pytest.raises(SelectionError):
-        batch[2]
-
-
 def test_no_states_make_no_batch() -> None:
     with pytest.raises(spm.ArgumentError) as refused:
         stacked([])

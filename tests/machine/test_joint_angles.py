@@ -132,13 +132,6 @@ def test_a_member_has_the_same_bits_in_any_batch(shape: tuple[int, ...]) -> None
     assert size == alone.closure_residual.size
 
 
-def test_the_balls_of_some_corners_are_those_of_all() -> None:
-    states = random_branches(PAPER, "TT", 9, 4).configuration
-    every, some = joint_angles(states), joint_angles(states, corners=(2, 0))
-    for name in ("ball_x", "ball_y", "ball_z"):
-        assert np.array_equal(getattr(some, name), getattr(every, name)[:, [2, 0, 5, 3]])
-
-
 def test_absent_members_are_nan_everywhere() -> None:
     states = random_branches(PAPER, "TT", 3, 7).configuration
     joints = states.middle_joints.copy()

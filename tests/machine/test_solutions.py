@@ -237,15 +237,6 @@ def test_the_error_of_a_level_pose_says_why_and_what_to_do() -> None:
         pair.one()
 
 
-def test_the_ways_on_from_a_level_pose_lead_to_it() -> None:
-    state = spm.forward_physical(PAPER, [1.15] * 6)
-    assert state.exists
-    np.testing.assert_allclose(state.rotation, np.eye(3), atol=1e-12)
-    tilted = spm.inverse_displacement(PAPER, spm.pose(state.translation, xyx=[0.0, 1e-4, 1e-4]))
-    assert tilted.status is spm.Status.OK
-    assert tilted.nearest(state).closure_residual < 1e-12
-
-
 @pytest.mark.parametrize(
     ("absent", "words"),
     [

@@ -5,11 +5,14 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
+import kinds_of_legs
 import numpy as np
 import numpy.typing as npt
 import problems
+from balancers import existing_states, stage_and_height
 
 import spm_pin as spm
+from spm_pin.machine import PRS, RRS, Stage
 
 Array = npt.NDArray[np.float64]
 
@@ -102,3 +105,23 @@ def wrench_conditions(state: spm.Configuration) -> tuple[float, float]:
     """Smallest singular values of the closed form's J_b or J_c, and of its K; lengths in units of d."""
     lower, upper, across = np.linalg.svd(problems.wrench_matrices(state), compute_uv=False)[:, -1]
     return min(lower, upper), across
+
+
+WRENCH = np.array([3.0, -2.0, -50.0, 0.4, -0.6, 0.8])
+SERVOS = Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35), limits=(-0.5, 1.5))
+SCREWS = Stage(0.20, 0.25, PRS(rod=0.30), limits=(-0.05, 0.25))
+ROBOTS = {
+    "servos below screws": lambda: spm.forward_physical(
+        spm.Manipulator.of_stages(SERVOS, SCREWS), [[0.4, 0.5, 0.6, 0.10, 0.12, 0.14], [0.5, 0.4, 0.5, 0.12, 0.1, 0.1]]
+    ),
+    "PRS below RRS as built": lambda: kinds_of_legs.states(kinds_of_legs.machine_of_kinds("PRS", "RRS", built=True)),
+    "RPS below PRS as built": lambda: kinds_of_legs.states(kinds_of_legs.machine_of_kinds("RPS", "PRS", built=True)),
+}
+
+
+@cache
+def start(name: str) -> tuple[Any, Any, Array]:
+    """Return the chain of a machine, regular states of it, and their joint values."""
+    states = ROBOTS[name]()[:3] if name in ROBOTS else existing_states(*stage_and_height(name), 6)
+    chain = spm.ClosedChain.from_urdf(machine=states.machine)
+    return chain, states, chain.joint_values(states)

@@ -2,113 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import problems
 import pytest
-from engines import Drake, Mujoco, accelerations
 from error_fields import with_fields
-from multibody.chains import NAMES, Array, chain, frame_jacobian, placed, plain_accelerations, six_branches
+from multibody.chains import chain, six_branches
 
 import spm_pin as spm
-from spm_pin.description import urdf_text
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
 
 pinocchio = pytest.importorskip("pinocchio")
-
-
-def states(name: str, count: int, seed: int) -> list[tuple[Array, Array]]:
-    """Regular q with velocities of the legs' order of size, so that nothing is fast near a singularity."""
-    robot, rng = chain(name), np.random.default_rng(seed)
-    found = []
-    for _, q in placed(name, count, seed):
-        values = robot.state(q).singular_values()
-        if min(values.inverse, values.forward, values.constraint) > 3e-3:
-            rates = rng.normal(size=6) * robot.machine.middle_side
-            found.append((q, robot.state(q).joint_rates(rates)))
-    assert len(found) >= count
-    return found
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_forward_dynamics_is_the_plain_solution(name: str) -> None:
-    robot, rng = chain(name), np.random.default_rng(200)
-    for q, v in states(name, 5, seed=201):
-        weight = 9.81 * sum(body.mass for body in robot.model.inertias)
-        f, wrench = weight * rng.normal(size=6), weight * rng.normal(size=6) * robot.machine.middle_side
-        force = frame_jacobian(robot, q, "terminal_platform").T @ wrench
-        force[robot.leg_indices] += f
-        expected = plain_accelerations(robot.model, robot.closures, q, v, force)
-        error = np.abs(robot.state(q, v).forward_dynamics(f, wrench) - expected).max()
-        assert error <= 1e-10 * np.abs(expected).max() / robot.state(q).singular_values().constraint
-
-
-@pytest.mark.parametrize("engine", [Mujoco, Drake])
-def test_two_other_engines_accelerate_alike(engine: Any, tmp_path: Path) -> None:
-    pytest.importorskip("mujoco" if engine is Mujoco else "pydrake")
-    robot, rng = chain("as built"), np.random.default_rng(204)
-    file = tmp_path / "machine.urdf"
-    file.write_text(urdf_text(robot.machine), encoding="utf-8")
-    other = engine(file)
-    for q, v in states("as built", 5, seed=205):
-        f = 500.0 * rng.normal(size=6)
-        ours, theirs = robot.state(q, v).forward_dynamics(f), accelerations(other, robot.leg_indices, q, v, f)
-        assert np.abs(ours - theirs).max() <= 1e-10 * np.abs(theirs).max() / robot.state(q).singular_values().constraint
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_forward_after_inverse_returns_the_motion(name: str) -> None:
-    robot, rng = chain(name), np.random.default_rng(206)
-    for q, v in states(name, 5, seed=207):
-        d = robot.machine.middle_side
-        a = robot.state(q, v).joint_accelerations(rng.normal(size=6) * [d, d, d, 1, 1, 1])
-        wrench = rng.normal(size=6)
-        f = robot.state(q, v).inverse_dynamics(a, wrench)
-        back = robot.state(q, v).forward_dynamics(f, wrench)
-        values = robot.state(q).singular_values()
-        assert np.abs(back - a).max() <= 1e-11 * np.abs(a).max() / (values.inverse * values.forward)
-        again = robot.state(q, v).inverse_dynamics(back, wrench)
-        assert np.abs(again - f).max() <= 1e-10 * np.abs(f).max() / (values.inverse * values.forward)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_the_platform_s_equations(name: str) -> None:
-    robot, rng = chain(name), np.random.default_rng(208)
-    d = robot.machine.middle_side
-    for q, v in states(name, 4, seed=209):
-        change, wrench = rng.normal(size=6) * [d, d, d, 1, 1, 1], rng.normal(size=6)
-        a = robot.state(q, v).joint_accelerations(change)
-        f = robot.state(q, v).inverse_dynamics(a, wrench)
-        at = robot.state(q, v).platform_dynamics()
-        terms = [at.mass @ change, at.bias, at.gravity, -robot.state(q).inverse_jacobian().T @ f, -wrench]
-        size = sum(np.abs(term).max() for term in terms)
-        assert np.abs(sum(terms)).max() <= 1e-9 * size / robot.state(q).singular_values().forward
-        twist = frame_jacobian(robot, q, "terminal_platform") @ v
-        assert twist @ at.mass @ twist / 2 == pytest.approx(robot.state(q, v).energy().kinetic, rel=1e-9)
-        assert np.array_equal(at.mass, at.mass.T)
-        assert np.linalg.eigvalsh(at.mass).min() > 0.0
-        assert np.abs(at.coriolis @ twist - at.bias).max() <= 1e-9 * np.abs(at.bias).max()
-
-
-def test_finite_differences_of_the_platform_s_equations() -> None:
-    """Λ̇ = C + Cᵀ, so that Λ̇ - 2 C is skew; and gravity is the slope of the potential energy."""
-    robot, rng = chain(), np.random.default_rng(210)
-    d, h, rest = robot.machine.middle_side, 1e-2, np.zeros(18)
-    for q, _ in states("paper", 4, seed=211)[:6]:
-        twist = 0.1 * rng.normal(size=6) * [d, d, d, 1, 1, 1] * robot.state(q).singular_values().inverse
-        at, ends = robot.state(q, robot.state(q).joint_velocities(twist)).platform_dynamics(), []
-        for t in (h, -h):  # to second order and better
-            half = robot.project(q + t / 2 * robot.state(q).joint_velocities(twist))
-            ends.append(robot.project(q + t * robot.state(half).joint_velocities(twist)))
-        ahead, behind = (robot.state(end, rest).platform_dynamics().mass for end in ends)
-        slope = (ahead - behind) / (2 * h)
-        assert np.abs(slope).max() > 0.0
-        assert np.abs(slope - at.coriolis - at.coriolis.T).max() <= 1e-3 * np.abs(slope).max()
-        above, below = (robot.state(end, rest).energy().potential for end in ends)
-        allowed = 1e-4 * np.abs(at.gravity * twist).max()
-        assert (above - below) / (2 * h) == pytest.approx(at.gravity @ twist, rel=1e-4, abs=allowed)
 
 
 def test_singularities() -> None:

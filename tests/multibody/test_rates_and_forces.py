@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 from multibody.chains import EPS, NAMES, Array, chain, frame_jacobian, placed, random_q, wrench_conditions
-from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 from spm_pin.crosscheck.paper import jacobian as paper
@@ -34,32 +33,6 @@ def test_gaps_and_jacobians_of_the_frames(name: str) -> None:
         for closure, gap in zip(robot.closures, robot.state(q).closure_gap(), strict=True):
             a, b = (data.oMf[robot.model.getFrameId(name)].translation for name in (closure.frame_a, closure.frame_b))
             assert np.abs(gap - (b - a)).max() <= allowed
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_joint_velocities_give_the_twist_and_keep_the_loops_closed(name: str) -> None:
-    robot, rng = chain(name), np.random.default_rng(103)
-    d, h = robot.machine.middle_side, 1e-5
-    units = np.ones(18)
-    units[robot.leg_indices] = d
-    for state, q in placed(name, 10, seed=104):
-        twist = rng.normal(size=6) * [d, d, d, 1, 1, 1]
-        rates = robot.state(q).joint_velocities(twist)
-        # Scaled to one unit of joint speed, so that the differences are well behaved at any conditioning.
-        speed = np.linalg.norm(rates / units)
-        rates, twist = rates / speed, twist / speed
-        ahead, behind = (robot.state(q + sign * h * rates).configuration() for sign in (1.0, -1.0))
-        turn = Rotation.from_matrix(ahead.rotation @ behind.rotation.T).as_rotvec()
-        found = np.concatenate([ahead.translation - behind.translation, turn]) / (2 * h)
-        reach = 1.0 + robot.leg_lengths(q).sum() / d
-        allowed = 10 * reach * d * (h**2 + 32 * EPS / h)
-        inverse = robot.state(q).singular_values().inverse
-        solved = 32 * EPS * reach * d / inverse**2 / speed
-        assert np.abs((found - twist) * [1, 1, 1, d, d, d]).max() <= allowed + solved
-        gaps = robot.state(q + h * rates).closure_gap() - robot.state(q - h * rates).closure_gap()
-        assert np.abs(gaps).max() / (2 * h) <= allowed + solved
-        legs = spm.leg_rates(state, twist)
-        assert np.abs(rates[robot.leg_indices] - legs).max() <= 32 * EPS * reach * d / inverse**2
 
 
 def rounding(robot: Any, q: Array, wrench: Array, smallest: float) -> float:

@@ -100,35 +100,10 @@ def test_the_branch_is_the_machines(points: Points) -> None:
     )
 
 
-def test_leg_lengths_and_the_pose_they_make_have_the_same_metrics() -> None:
-    lengths = legs(40)
-    by_legs = Points(MACHINE, "legs", lengths)
-    state = spm.forward_physical(MACHINE, lengths)
-    poses = np.concatenate([state.translation, state.pose.rotation.as_euler("XYX")], axis=-1)
-    by_pose = Points(MACHINE, "pose", poses)
-    # The few poses that two machines can be in are left out.
-    same = ~by_pose.solutions.within().ambiguous
-    assert same.sum() > 30
-    for mine in METRICS.values():
-        np.testing.assert_allclose(
-            mine.evaluate(by_legs)[same], mine.evaluate(by_pose)[same], rtol=1e-6, atol=1e-8, err_msg=mine.name
-        )
-
-
 def test_assembly_modes_are_counted_as_the_solver_does() -> None:
     lengths = legs(70)
     expected = spm.forward_displacement(MACHINE, lengths).count
     np.testing.assert_array_equal(METRICS["assembly_modes"].evaluate(Points(MACHINE, "legs", lengths)), expected)
-
-
-def test_conditioning_does_not_depend_on_the_size_of_the_machine() -> None:
-    small = spm.Manipulator(MACHINE.base_radius / 50, MACHINE.platform_radius / 50, MACHINE.middle_side / 50)
-    lengths = legs(20)
-    for name in ("conditioning", "isotropy", "forward_distance", "inverse_distance", "det_structure", "payload"):
-        large = METRICS[name].evaluate(Points(MACHINE, "legs", lengths))
-        np.testing.assert_allclose(
-            METRICS[name].evaluate(Points(small, "legs", lengths / 50)), large, rtol=1e-9, err_msg=name
-        )
 
 
 def test_payload_is_the_most_that_leg_forces_allow_in_any_direction() -> None:
