@@ -12,7 +12,7 @@ from spm_pin.errors import ClosureError
 from spm_pin.loops.closed_chain import ClosedChain
 from tests.loops.robots import ROBOTS
 
-TARGETS, STEPS, FINER = 60, 2000, 20
+TARGETS, STEPS, FINER = 40, 2000, 20
 """Targets of each robot, small steps to each, and how many times as many decide where the result differs."""
 
 

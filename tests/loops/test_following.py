@@ -219,15 +219,6 @@ def test_singular_start_is_said() -> None:
     assert_allclose(q, [1.0, -1.0, 1.0], atol=1e-14)
 
 
-def test_dependent_rows_close_to_rounding() -> None:
-    points = four_bar("point")
-    welded = four_bar("hinge")
-    assert points.rows.count == 3
-    assert welded.rows.count == 5
-    for crank in (-1.0, 2.0):
-        assert_allclose(welded.forward([crank], welded.q0), points.forward([crank], points.q0), atol=1e-13)
-
-
 def test_copies_and_threads_answer_alike() -> None:
     chain = five_bar()
     targets = far_targets(chain, 400, 0.3)

@@ -166,52 +166,32 @@ def test_configurations_of_an_srdf(tmp_path: Path) -> None:
 
 
 RING = LINKAGE.replace('<parent link="ground"/><child link="crank"/>', '<parent link="coupler"/><child link="crank"/>')
+# What is replaced in the linkage, by what, and what was expected instead.
+CHANGES = {
+    "two roots": ('<link name="ground"/>', '<link name="ground"/><link name="other"/>', "one link without a parent"),
+    "a link twice": ('<link name="tip"/>', '<link name="end"/>', "a different name"),
+    "a joint twice": ('name="elbow"', 'name="turn"', "a different name"),
+    "a child twice": ('<child link="end"/>', '<child link="tip"/>', "child without another parent"),
+    "no such link": ('<child link="tip"/>', '<child link="gone"/>', "a link of the file as its child"),
+    "no child": ('<child link="tip"/>', "", "a link of the file as its child"),
+    "a planar joint": ('"prismatic"', '"planar"', "one of the types"),
+    "no axis": ('"0 0 2"', '"0 0 0"', "a direction"),
+    "not numbers": ('xyz="0.1 0 0"', 'xyz="0.1 0 zero"', "3 finite numbers"),
+    "infinite": ('xyz="0.3 0 0"', 'xyz="inf 0 0"', "3 finite numbers"),
+    "negative mass": ('mass value="1"', 'mass value="-1"', "not negative"),
+    "no mass": ('<mass value="1"/>', "", "<mass> and <inertia> in <inertial>"),
+    "a mimic of nothing": ('mimic joint="turn"', 'mimic joint="gone"', "a joint of one degree"),
+    "a motor of nothing": ('"m"><joint name="turn"', '"m"><joint name="gone"', "a joint of one degree"),
+    "a drake joint": ("</robot>", '<drake:joint name="b" type="ball"/></robot>', "a joint of URDF"),
+    "half a tag": ('<drake:ball_constraint_body_B name="rocker"/>', "", "a tag drake:ball_constraint_body_B"),
+    "a tag on nothing": ('body_B name="rocker"', 'body_B name="gone"', "a link or site"),
+}
 FAULTS = {
     "not XML": (LINKAGE[:-3], None, "well-formed XML"),
     "another root": ("<model/>", None, "whose root is <robot>"),
     "no links": ("<robot/>", None, "one link without a parent"),
-    "two roots": (
-        LINKAGE.replace('<link name="ground"/>', '<link name="ground"/><link name="other"/>'),
-        None,
-        "one link without a parent",
-    ),
     "a ring": (RING, None, "one root"),
-    "a link twice": (LINKAGE.replace('<link name="tip"/>', '<link name="end"/>'), None, "a different name"),
-    "a joint twice": (LINKAGE.replace('name="elbow"', 'name="turn"'), None, "a different name"),
-    "a child twice": (
-        LINKAGE.replace('<child link="end"/>', '<child link="tip"/>'),
-        None,
-        "child without another parent",
-    ),
-    "no such link": (
-        LINKAGE.replace('<child link="tip"/>', '<child link="gone"/>'),
-        None,
-        "a link of the file as its child",
-    ),
-    "no child": (LINKAGE.replace('<child link="tip"/>', ""), None, "a link of the file as its child"),
-    "a planar joint": (LINKAGE.replace('"prismatic"', '"planar"'), None, "one of the types"),
-    "no axis": (LINKAGE.replace('"0 0 2"', '"0 0 0"'), None, "a direction"),
-    "not numbers": (LINKAGE.replace('xyz="0.1 0 0"', 'xyz="0.1 0 zero"'), None, "3 finite numbers"),
-    "infinite": (LINKAGE.replace('xyz="0.3 0 0"', 'xyz="inf 0 0"'), None, "3 finite numbers"),
-    "negative mass": (LINKAGE.replace('mass value="1"', 'mass value="-1"'), None, "not negative"),
-    "no mass": (LINKAGE.replace('<mass value="1"/>', ""), None, "<mass> and <inertia> in <inertial>"),
-    "a mimic of nothing": (LINKAGE.replace('mimic joint="turn"', 'mimic joint="gone"'), None, "a joint of one degree"),
-    "a motor of nothing": (
-        LINKAGE.replace('<transmission name="m"><joint name="turn"/>', '<transmission name="m"><joint name="gone"/>'),
-        None,
-        "a joint of one degree",
-    ),
-    "a drake joint": (
-        LINKAGE.replace("</robot>", '<drake:joint name="b" type="ball"/></robot>'),
-        None,
-        "a joint of URDF",
-    ),
-    "half a tag": (
-        LINKAGE.replace('<drake:ball_constraint_body_B name="rocker"/>', ""),
-        None,
-        "a tag drake:ball_constraint_body_B",
-    ),
-    "a tag on nothing": (LINKAGE.replace('body_B name="rocker"', 'body_B name="gone"'), None, "a link or site"),
+    **{name: (LINKAGE.replace(old, new), None, expected) for name, (old, new, expected) in CHANGES.items()},
     "not YAML": (LINKAGE, "closed_loop: [['tip', 'end']\ntype", "well-formed YAML"),
     "a file of something else": (LINKAGE, "closed_loops: [['tip', 'end']]\ntype: ['3d']", "the key closed_loop"),
     "a list": (LINKAGE, "closed_loop:\n- [tip]\ntype: ['3d']", "a pair of links"),

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from engines import Drake, Mujoco, accelerations
 from error_fields import with_fields
-from multibody.chains import NAMES, PAPER, Array, chain, frame_jacobian
+from multibody.chains import NAMES, PAPER, Array, chain
 
 import spm_pin as spm
 from spm_pin.errors import ArgumentError, ClosureError
@@ -102,26 +102,6 @@ def test_a_conservative_run_keeps_its_energy(name: str) -> None:
     moved = run.readings - robot.readings(q)
     stored = 0.5 * stiffness * (moved**2).sum(axis=1) - 0.7 * moved @ held
     assert np.abs(run.energy + stored - run.energy[0] - stored[0]).max() <= 1e-9 * np.abs(run.energy).max()
-
-
-def test_power_balances_along_a_driven_run() -> None:
-    robot, (q, v) = chain(), start()
-    push = np.array([40.0, 0.0, -60.0, 5.0, 0.0, 10.0])
-    times = np.linspace(0.0, UNTIL, 401)
-    run = robot.simulate(q, v, driven, times, wrench=push)
-    h = times[1]
-    slope = (run.energy[:-4] - 8 * run.energy[1:-3] + 8 * run.energy[3:-1] - run.energy[4:]) / (12 * h)
-    power = (run.leg_forces * run.v[:, robot.leg_indices]).sum(axis=1)
-    for k, moment in enumerate(slope):
-        power[k + 2] += push @ frame_jacobian(robot, run.q[k + 2], "terminal_platform") @ run.v[k + 2]
-        assert moment == pytest.approx(power[k + 2], abs=1e-6 * np.abs(power).max())
-    assert np.abs(run.energy_error).max() <= 1e-10 * run.energy[0]
-    # The record says what acted: forces, and the accelerations they give.
-    again = robot.state(run.q, run.v).forward_dynamics(run.leg_forces, push)
-    assert np.allclose(again, run.a, rtol=1e-9, atol=1e-9)
-    # A wrench may be a function, too; it is not left out.
-    function = robot.simulate(q, v, driven, times, wrench=lambda t, q, v: push)
-    assert np.array_equal(run.q, function.q)
 
 
 def test_limits_and_singularities_are_passed_through() -> None:

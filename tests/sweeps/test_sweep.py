@@ -131,12 +131,6 @@ def test_a_sample_of_leg_lengths_keeps_its_points(tmp_path: Path) -> None:
     assert {"x", "beta"} <= set(poses.coords)
 
 
-def test_a_lattice_of_leg_lengths_beyond_the_limits(tmp_path: Path) -> None:
-    found = run_sweep(MACHINE, leg_grid((1.0, 1.6, 3), (1.2, 1.4, 2)), "reachable", tmp_path / "map", workers=1).load()
-    inside = (found.r_b1 == 1.3) & (found.r_b2 == 1.3) & (found.r_b3 == 1.3)
-    assert ((found.reachable == 1) == inside).all()
-
-
 # Going on
 
 

@@ -115,7 +115,7 @@ def test_a_sweep_that_is_killed_goes_on_without_loss(tmp_path: Path, undisturbed
 
 @pytest.mark.slow
 def test_a_sweep_of_several_processes_killed_twice_ends_with_the_store_of_an_undisturbed_run(tmp_path: Path) -> None:
-    slices, done = 60, 0
+    slices, done = 24, 0
     whole, killed = tmp_path / "whole.zarr", tmp_path / "killed.zarr"
     run_long(whole, workers=2, slices=slices)
     # First all processes, then only the one that drives; its workers have to notice.
