@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from error_fields import with_fields
-from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
 
 import spm_pin as spm
@@ -47,22 +46,6 @@ def test_vertices_and_facets_are_those_of_pycapacity(index: int) -> None:
     )
     assert their.shape == (12, 7)
     np.testing.assert_allclose(ordered(mine), ordered(their), rtol=0, atol=1e-12)
-
-
-def test_extents_of_a_hundred_states_are_those_of_linear_programs() -> None:
-    """Unknown: six leg forces and the multiple t of a direction; the equilibrium is that of `inverse_jacobian`."""
-    directions = np.random.default_rng(1).normal(size=(100, 6))
-    found = wrench_polytope(STATES, LIMITS, load=LOAD).extent(directions)
-    jacobians, bounds = spm.inverse_jacobian(STATES), [*zip(LOWER, UPPER, strict=True), (0.0, None)]
-    expected = []
-    for jacobian, direction in zip(jacobians, directions, strict=True):
-        # The legs' wrench, the load and t times the direction balance.
-        balance = np.column_stack([jacobian.T, direction])
-        scale = np.abs(balance).max(axis=-1)
-        program = linprog([0.0] * 6 + [-1.0], A_eq=balance / scale[:, None], b_eq=-LOAD / scale, bounds=bounds)
-        expected.append(program.x[6] if program.status == 0 else 0.0)
-    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6)
-    assert np.count_nonzero(found) > 90
 
 
 def test_balls_touch_a_facet_and_are_inside() -> None:

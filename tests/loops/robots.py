@@ -9,6 +9,7 @@ import pinocchio as pin
 
 from spm_pin.loops.closed_chain import ClosedChain
 from spm_pin.loops.closures import Anchor, Closure, ClosureKind
+from spm_pin.loops.links import find_frame
 
 _HINGES = {"x": pin.JointModelRX, "y": pin.JointModelRY, "z": pin.JointModelRZ}
 _SLIDES = {"x": pin.JointModelPX, "y": pin.JointModelPY, "z": pin.JointModelPZ}
@@ -123,6 +124,18 @@ def delta(held: bool = True) -> ClosedChain:
     q0 = pin.neutral(model)
     q0[2] = -0.75
     return closed(model, loops, actuated, q0, spins)
+
+
+def pose_of(model: Any, q: Any, frame: str) -> Any:
+    """Return the placement of a frame in the world."""
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    return data.oMf[find_frame(model, frame)].copy()
+
+
+def ends_of(model: Any, q: Any, closure: Closure) -> list[Any]:
+    """Return both anchors of a closure in the world."""
+    return [pose_of(model, q, anchor.frame) * anchor.placement for anchor in (closure.first, closure.second)]
 
 
 ROBOTS = {"four_bar": four_bar, "five_bar": five_bar, "ankle": ankle, "stewart": stewart, "delta": delta}

@@ -19,7 +19,7 @@ from spm_pin.loops import following
 from spm_pin.loops.closed_chain import ClosedChain
 from spm_pin.loops.closures import JointEquality
 from spm_pin.loops.constraint_rows import LoopKinematics
-from tests.loops.robots import ROBOTS, ankle, at, closure, five_bar, four_bar, hinge, stewart
+from tests.loops.robots import ROBOTS, ankle, at, closure, five_bar, four_bar, hinge, pose_of, stewart
 
 
 @pytest.fixture(scope="module", params=ROBOTS)
@@ -140,9 +140,7 @@ def test_free_base_stays() -> None:
 def test_inverse_of_a_platform_is_that_of_forward() -> None:
     chain = stewart()
     goal = chain.forward(far_targets(chain, 1, 0.1)[0], chain.q0)
-    data = chain.model.createData()
-    pin.framesForwardKinematics(chain.model, data, goal)
-    pose = data.oMf[chain.model.getFrameId("platform")].copy()
+    pose = pose_of(chain.model, goal, "platform")
     for rows in ((0, 1, 2), (2, 3, 4)):
         with pytest.raises(ArgumentError, check=with_fields(argument="rows")):
             chain.inverse("platform", pose, chain.q0, rows)
@@ -156,9 +154,7 @@ def test_inverse_of_rows_reaches_those_rows() -> None:
     chain = ankle()
     turn = pin.rpy.rpyToMatrix(0.1, -0.2, 0.3)
     q = chain.inverse("foot", pin.SE3(turn, np.zeros(3)), chain.q0, rows=(3, 4))
-    data = chain.model.createData()
-    pin.framesForwardKinematics(chain.model, data, q)
-    error = pin.log3(turn @ data.oMf[chain.model.getFrameId("foot")].rotation.T)
+    error = pin.log3(turn @ pose_of(chain.model, q, "foot").rotation.T)
     assert_allclose(error[:2], 0.0, atol=1e-13)
     assert abs(error[2]) > 0.1
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pinocchio as pin
 import pytest
+from error_fields import with_fields
 from loops.mechanisms import MAKERS, Array, admissible, ankle, mechanism, states
 
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
@@ -198,39 +197,36 @@ def test_joints_that_are_held_do_not_move() -> None:
 
 
 def test_bad_input_is_refused() -> None:
-    chain = mechanism("ankle")
+    chain, free = mechanism("ankle"), mechanism("Stewart")
     (q, v), *_ = states("ankle")
-    state = chain.state(q, v)
-
-    def refused(argument: str, call: Any, *arguments: Any) -> ArgumentError:
-        with pytest.raises(ArgumentError) as raised:
-            call(*arguments)
-        assert raised.value.argument == argument
-        return raised.value
-
-    refused("q", chain.state, q[:-1])
-    refused("v", chain.state, q, v[:-1])
-    refused("q", chain.state, q * np.nan)
-    refused("tau", state.forward_dynamics, [1.0])
-    assert "roll" in refused("frame", state.actuator_jacobian, "rol").cause
-    refused("frame", state.forward_dynamics, [0.0, 0.0], {"nowhere": np.zeros(6)})
-    refused("wrenches", state.forward_dynamics, [0.0, 0.0], [1.0] * 6)
-    refused("wrenches", state.forward_dynamics, [0.0, 0.0], {"roll": [1.0] * 5})
-    refused("a", state.inverse_dynamics, np.ones(8))
-    refused("v", chain.state(q, np.ones(8)).forward_dynamics, [0.0, 0.0])
-    massless = ankle()
+    state, tau = chain.state(q, v), [0.0, 0.0]
+    massless, shuffled = ankle(), pin.Model()
     for inertia in massless.model.inertias:
         inertia.mass, inertia.inertia = 0.0, np.zeros((3, 3))
-    refused("model", massless.state(massless.close()).forward_dynamics, [0.0, 0.0])
-    with pytest.raises(ClosureError) as raised:
-        chain.state(q + 0.01).forward_dynamics([0.0, 0.0])
-    assert "rod" in raised.value.cause
-    free = mechanism("Stewart")
-    shuffled = pin.Model()
     for name, parent in (("arm", 0), ("other", 0), ("hand", 1)):
         shuffled.addJoint(parent, pin.JointModelRZ(), pin.SE3.Identity(), name)
-    refused("model", ClosedChain, shuffled, [], [])
-    refused("q", free.state, np.zeros(25))
+    for argument, call, *arguments in (
+        ("q", chain.state, q[:-1]),
+        ("v", chain.state, q, v[:-1]),
+        ("q", chain.state, q * np.nan),
+        ("q", free.state, np.zeros(25)),
+        ("tau", state.forward_dynamics, [1.0]),
+        ("frame", state.forward_dynamics, tau, {"nowhere": np.zeros(6)}),
+        ("wrenches", state.forward_dynamics, tau, [1.0] * 6),
+        ("wrenches", state.forward_dynamics, tau, {"roll": [1.0] * 5}),
+        ("a", state.inverse_dynamics, np.ones(8)),
+        ("v", chain.state(q, np.ones(8)).forward_dynamics, tau),
+        ("model", massless.state(massless.close()).forward_dynamics, tau),
+        ("model", ClosedChain, shuffled, [], []),
+    ):
+        with pytest.raises(ArgumentError, check=with_fields(argument=argument)):
+            call(*arguments)
+    with pytest.raises(ArgumentError, check=with_fields(argument="frame")) as raised:
+        state.actuator_jacobian("rol")
+    assert "roll" in raised.value.cause
+    with pytest.raises(ClosureError) as opened:
+        chain.state(q + 0.01).forward_dynamics(tau)
+    assert "rod" in opened.value.cause
 
 
 def test_more_actuators_than_freedoms_must_agree() -> None:

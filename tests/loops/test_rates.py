@@ -11,7 +11,7 @@ from loops.mechanisms import MAKERS, Array, mechanism, states
 
 from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.loops.closed_chain import ClosedChain
-from tests.loops.robots import at, closure
+from tests.loops.robots import at, closure, pose_of
 
 DRIVEN = [name for name in MAKERS if name not in ("Delta", "parallelogram")]
 
@@ -26,12 +26,6 @@ def differences(chain: ClosedChain, q: Array, function: Any, directions: Array, 
         )
         columns.append((8.0 * near - far) / (12.0 * step))
     return np.array(columns).T
-
-
-def place(chain: ClosedChain, q: Array, frame: str) -> Any:
-    data = chain.model.createData()
-    pin.framesForwardKinematics(chain.model, data, q)
-    return data.oMf[chain.model.getFrameId(frame)].copy()
 
 
 @pytest.mark.parametrize("name", MAKERS)
@@ -62,7 +56,7 @@ def test_the_twist_of_a_frame_is_that_of_its_motion(name: str) -> None:
     chain = mechanism(name)
     frame, step = chain.joint_names[-1], 1e-6
     for q, v in states(name, 3):
-        before, after = (place(chain, pin.integrate(chain.model, q, s * v), frame) for s in (-step, step))
+        before, after = (pose_of(chain.model, pin.integrate(chain.model, q, s * v), frame) for s in (-step, step))
         linear = (after.translation - before.translation) / (2.0 * step)
         angular = pin.log3(after.rotation @ before.rotation.T) / (2.0 * step)
         twist = chain.state(q, v).twist(frame)

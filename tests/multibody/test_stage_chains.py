@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from balancers import MACHINES, existing_states, stage_and_height
-from multibody.chains import WRENCH, Array, plain_accelerations, start
+from multibody.chains import WRENCH, Array, start
 
 import spm_pin as spm
 from spm_pin.description import Masses, RigidBody, urdf_text
@@ -86,24 +86,6 @@ def test_cranks_and_rods_in_line_are_an_inverse_singularity() -> None:
     # The readings do not follow the height, and no torque is needed to hold a load.
     np.testing.assert_allclose(state.leg_forces([0.0, 0.0, -5.0, 0.0, 0.0, 0.0]), 0.0, atol=1e-7)
     assert state.singular_values().inverse < 1e-7
-
-
-def test_a_stage_mounted_on_another_robot_moves_as_plain_equations_say() -> None:
-    robots = pytest.importorskip("example_robot_data")
-    arm = robots.load("ur5")
-    chain = spm.ClosedChain.from_urdf(machine=BALANCER, prefix="tool_")
-    both = chain.mounted_on(arm, "tool0")
-    rng = np.random.default_rng(3)
-    machine_q = chain.inverse_kinematics(spm.pose([0.0, 0.0, 0.12], xyx=[0.1, 0.2, -0.1]))
-    rates = chain.state(machine_q).joint_rates(rng.normal(size=3))
-    q, v = both.join(rng.normal(size=6), machine_q), both.join_velocities(rng.normal(size=6), rates)
-    forces = rng.normal(size=9)
-    force = np.zeros(15)
-    force[both.actuated_indices] = forces
-    expected = plain_accelerations(both.model, chain.closures, q, v, force)
-    found = both.state(q, v).forward_dynamics(forces)
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
-    np.testing.assert_allclose(both.state(q, v).inverse_dynamics(found), forces, atol=1e-7)
 
 
 def test_the_mode_turned_half_round_is_not_left() -> None:
