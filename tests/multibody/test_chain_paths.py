@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from error_fields import with_fields
-from multibody.chains import EPS, MACHINES, NAMES, PAPER, POSE, chain, placed, random_q, rounding
+from multibody.chains import EPS, MACHINES, NAMES, PAPER, POSE, chain, placed, rounding
 
 import spm_pin as spm
 from spm_pin.errors import (
@@ -32,21 +32,6 @@ LENGTHS = [
     [1.22, 1.20, 1.42, 1.24, 1.18, 1.42],
 ]
 WAYPOINTS = spm.forward_physical(PAPER, LENGTHS).pose
-
-
-def test_one_after_the_other() -> None:
-    """Along a path each member starts from the one before: the same joints as one by one, continuous all the way."""
-    robot = chain()
-    begin, end = np.array([1.2, 1.2, 1.4, 1.25, 1.2, 1.45]), np.array([1.4, 1.3, 1.15, 1.2, 1.45, 1.2])
-    legs = begin + np.linspace(0.0, 1.0, 50)[:, None] * (end - begin)
-    q = robot.forward_kinematics(begin)
-    together = robot.forward_kinematics(legs, q)
-    for k, row in enumerate(legs):
-        q = robot.forward_kinematics(row, q)
-        assert np.abs(q - together[k]).max() <= 1e-11
-    assert np.abs(np.diff(together, axis=0)).max() < 0.2
-    # Warm, there is nothing left to do.
-    assert np.array_equal(robot.forward_kinematics(robot.leg_lengths(q), q), q)
 
 
 def test_poses_are_reached_in_the_branch_started_from() -> None:
@@ -275,22 +260,3 @@ def test_a_perturbed_q_is_closed(name: str) -> None:
         assert robot.state(found).configuration().closure_residual <= rounding(robot, q)
         # It goes to a point near by: to first order none is nearer, and q is one.
         assert np.linalg.norm((found - q - off) / units) <= 1.5 * np.linalg.norm(off / units)
-
-
-def test_starts_that_do_not_converge() -> None:
-    """Whatever the start: a closed q or an error, and both kinds occur."""
-    robot, rng = chain(), np.random.default_rng(137)
-    residuals_left = []
-    for _ in range(40):
-        q = 2 * random_q(robot, rng)
-        if (robot.leg_lengths(np.zeros(18)) + q[robot.leg_indices] < 0).any():
-            continue
-        try:
-            found = robot.project(q)
-        except ClosureError as error:
-            residuals_left.append(error.residual)
-        else:
-            assert np.abs(robot.state(found).closure_gap()).max() <= 10 * rounding(robot, found)
-            assert (robot.leg_lengths(found) >= 0).all()
-    assert 0 < len(residuals_left) < 40
-    assert min(residuals_left) > 1e-6
