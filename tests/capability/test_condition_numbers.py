@@ -9,6 +9,8 @@ import spm_pin as spm
 from spm_pin.capability import wrench_polytope
 from spm_pin.kinematics import platform_jacobian, singular_values
 
+pytestmark = pytest.mark.documents
+
 PAPER = spm.Manipulator.paper()
 SHARES = np.random.default_rng(0).uniform(-1.0, 1.0, (4000, 6))
 STATES = spm.forward_physical(PAPER, 1.3 + 0.2 * SHARES)

@@ -116,6 +116,7 @@ def test_a_bearing_s_limit_counts() -> None:
     assert wrench_polytope(batch, 1000.0).within(rows, [100.0] * 6).ball().shape == (2,)
 
 
+@pytest.mark.documents
 def test_the_numbers_of_the_page_on_capability() -> None:
     state = spm.forward_physical(PAPER, [1.20, 1.20, 1.40, 1.25, 1.20, 1.40])
     held, reactions = wrench_polytope(state, 1000.0), joint_reactions(state)
