@@ -40,21 +40,6 @@ def test_the_platform_is_placed_to_micrometres_afterwards(positions_only: bool) 
     assert np.array(after).max() < 5e-5
 
 
-def test_exact_measurements_give_the_machine_up_to_the_choice_of_the_middle_frame() -> None:
-    machine = PAPER.perturbed(1)
-    found = identify(PAPER, *measure(machine, 0, noise=0.0))
-    assert position_errors(found.machine, machine).max() < 1e-11
-    assert np.abs(found.residuals).max() < 1e-12
-    scale = np.tile(np.repeat([1.0, PAPER.middle_side], [2, 7]), 6)
-    difference = (found.machine.parameters - machine.parameters) / scale
-    # What is not identified has been left as it was, all else is right.
-    np.testing.assert_allclose(found.identifiable @ difference, 0.0, atol=1e-6)
-    moved = (found.machine.parameters - PAPER.parameters) / scale
-    np.testing.assert_allclose(found.unidentifiable @ moved, 0.0, atol=1e-12)
-    np.testing.assert_allclose(found.identifiable @ found.identifiable.T, np.eye(48), atol=1e-12)
-    np.testing.assert_allclose(found.identifiable @ found.unidentifiable.T, 0.0, atol=1e-12)
-
-
 def test_parameters_not_asked_for_keep_their_values() -> None:
     nominal = PAPER.parameters
     wanted = np.array([name.split(".")[1] == "offset" or "pivot_z" in name for name in PARAMETERS])

@@ -7,8 +7,6 @@ import errno
 import json
 import os
 import shutil
-import subprocess
-import sys
 import tracemalloc
 import warnings
 from collections.abc import Callable
@@ -396,24 +394,6 @@ def test_two_processes_on_one_store_are_refused_by_whatever_path(store: Path, tm
     assert error.value.path in (str(store), str(alias))
     assert sweep_status(alias).complete
     small(store)
-
-
-def test_the_lock_of_a_process_that_was_killed_is_free(store: Path, undisturbed: Path) -> None:
-    code = (
-        "import pathlib, signal, sys\n"
-        "from spm_pin.sweeps.store import locked\n"
-        "with locked(pathlib.Path(sys.argv[1])):\n"
-        "    print('held', flush=True)\n"
-        "    signal.pause()\n"
-    )
-    holder = subprocess.Popen([sys.executable, "-c", code, str(store)], stdout=subprocess.PIPE, text=True)
-    with holder:
-        assert holder.stdout.readline() == "held\n"
-        with pytest.raises(StoreLockedError, match=f"process {holder.pid} on "):
-            small(store)
-        holder.kill()
-    small(store)
-    assert contents(store) == contents(undisturbed)
 
 
 # Disks that fail
