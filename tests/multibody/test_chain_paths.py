@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from error_fields import with_fields
-from multibody.chains import EPS, MACHINES, NAMES, PAPER, POSE, chain, placed, rounding
+from multibody.chains import EPS, MACHINES, NAMES, PAPER, POSE, chain, placed, random_q, rounding
 
 import spm_pin as spm
 from spm_pin.errors import (
@@ -260,3 +260,22 @@ def test_a_perturbed_q_is_closed(name: str) -> None:
         assert robot.state(found).configuration().closure_residual <= rounding(robot, q)
         # It goes to a point near by: to first order none is nearer, and q is one.
         assert np.linalg.norm((found - q - off) / units) <= 1.5 * np.linalg.norm(off / units)
+
+
+def test_starts_that_do_not_converge() -> None:
+    """Whatever the start: a closed q or an error, and both kinds occur."""
+    robot, rng = chain(), np.random.default_rng(137)
+    residuals_left = []
+    for _ in range(40):
+        q = 2 * random_q(robot, rng)
+        if (robot.leg_lengths(np.zeros(18)) + q[robot.leg_indices] < 0).any():
+            continue
+        try:
+            found = robot.project(q)
+        except ClosureError as error:
+            residuals_left.append(error.residual)
+        else:
+            assert np.abs(robot.state(found).closure_gap()).max() <= 10 * rounding(robot, found)
+            assert (robot.leg_lengths(found) >= 0).all()
+    assert 0 < len(residuals_left) < 40
+    assert min(residuals_left) > 1e-6
