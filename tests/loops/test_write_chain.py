@@ -15,12 +15,11 @@ from spm_pin.description import CLOSURES_PATH, SDF_PATH, URDF_PATH
 from spm_pin.errors import DescriptionError
 from spm_pin.loops.closed_chain import ClosedChain
 from spm_pin.loops.closures import Anchor, Closure, JointEquality, RobotDescription
-from spm_pin.loops.links import place
+from spm_pin.loops.links import find_frame, place
 from spm_pin.loops.read_mjcf import read_mjcf
 from spm_pin.loops.read_sdf import read_sdf
 from spm_pin.loops.read_urdf import read_urdf
 from spm_pin.loops.write_chain import mjcf_text, sdf_text, urdf_texts
-from tests.loops.robots import ends_of, pose_of
 
 
 def by_mjcf(robot: RobotDescription) -> RobotDescription:
@@ -64,7 +63,9 @@ def linkage() -> RobotDescription:
     robot = read_mjcf(text)
 
     def at(link: str, world: Any) -> Anchor:
-        return Anchor(link, pose_of(robot.model, robot.q0, link).inverse() * world)
+        data = robot.model.createData()
+        pin.framesForwardKinematics(robot.model, data, robot.q0)
+        return Anchor(link, data.oMf[find_frame(robot.model, link)].inverse() * world)
 
     meeting = pin.SE3(pin.exp3(np.array([0.3, 0.2, 0.1])), np.array([0.5, 0.2, 0.1]))
     closures = [
@@ -79,13 +80,15 @@ def linkage() -> RobotDescription:
     return robot._replace(closures=tuple(closures), equalities=(JointEquality("j1", "j4", (0.1, 0.2), 0.0, 0.3),))
 
 
-def q_of(model: Any, values: dict[str, Any]) -> Any:
-    """Return q from the joints' values by name."""
-    q = pin.neutral(model)
+def world_poses(robot: RobotDescription, values: dict[str, Any]) -> dict[str, Any]:
+    """Return the poses of all frames at the joints' values by name."""
+    q = pin.neutral(robot.model)
     for name, value in values.items():
-        joint = model.joints[model.getJointId(name)]
+        joint = robot.model.joints[robot.model.getJointId(name)]
         q[joint.idx_q : joint.idx_q + joint.nq] = value
-    return q
+    data = robot.model.createData()
+    pin.framesForwardKinematics(robot.model, data, q)
+    return {frame.name: data.oMf[i].copy() for i, frame in enumerate(robot.model.frames)}
 
 
 @pytest.mark.parametrize(
@@ -111,21 +114,24 @@ def test_a_chain_that_is_read_again_is_the_same(
         values = {
             name: q[j.idx_q : j.idx_q + j.nq] for name, j in list(zip(model.names, model.joints, strict=True))[1:]
         }
-        q_again = q_of(again.model, values)
-        for name in (frame.name for frame in model.frames if frame.type == pin.FrameType.BODY):
-            if again.model.existFrame(name):
-                after, before = pose_of(again.model, q_again, name), pose_of(model, q, name)
-                np.testing.assert_allclose(after.homogeneous, before.homogeneous, atol=1e-12)
+        before, after = world_poses(robot, values), world_poses(again, values)
+        for frame in model.frames:
+            if frame.type == pin.FrameType.BODY and frame.name in after:
+                np.testing.assert_allclose(after[frame.name].homogeneous, before[frame.name].homogeneous, atol=1e-12)
         kinds = {"planar": "point"} if write is by_mjcf else {"planar": "hinge"} if write is by_sdf else {}
         names = [c.name for c in (robot if write is by_urdf else again).closures]
         found = dict(zip(names, again.closures, strict=True))
         for closure in robot.closures:
             other = found[closure.name]
             assert other.kind == kinds.get(closure.kind, closure.kind)
-            first, second = ends_of(model, q, closure)
-            first_again, second_again = ends_of(again.model, q_again, other)
-            apart = first.translation - second.translation
-            apart_again = first_again.translation - second_again.translation
+            (first, second), (first_again, second_again) = (
+                [at[a.frame] * a.placement for a in (c.first, c.second)]
+                for at, c in ((before, closure), (after, other))
+            )
+            apart, apart_again = (
+                first.translation - second.translation,
+                first_again.translation - second_again.translation,
+            )
             np.testing.assert_allclose(apart_again, apart, atol=1e-12)
             if closure.kind == "hinge":
                 np.testing.assert_allclose(second_again.rotation[:, 2], second.rotation[:, 2], atol=1e-12)
