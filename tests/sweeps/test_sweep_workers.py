@@ -146,11 +146,16 @@ def test_a_client_is_given_all_chunks_in_parts_and_left_open(
     assert contents(tmp_path / "map.zarr") == contents(undisturbed)
 
 
-def test_user_metric_is_sent_to_workers(tmp_path: Path, cluster: LocalCluster) -> None:
-    shift = 2.0
+def test_metrics_of_users_are_sent_to_workers_and_their_errors_back(tmp_path: Path, cluster: LocalCluster) -> None:
+    def fragile(points: Points) -> np.ndarray:
+        raise ZeroDivisionError("of my own")
+
+    shift, options = 2.0, {"workers": None, "scheduler": cluster.scheduler_address}
     mine = Metric("mine", "m", "x shifted", lambda points: points.coordinates[:, 0] + shift)
-    found = small(tmp_path / "map.zarr", metrics=[mine], workers=None, scheduler=cluster.scheduler_address)
+    found = small(tmp_path / "map.zarr", metrics=[mine], **options)
     assert (found.mine == found.x + 2).all()
+    with pytest.raises(ZeroDivisionError, match="of my own"):
+        small(tmp_path / "other.zarr", metrics=[Metric("fragile", "m", "", fragile)], **options)
 
 
 @pytest.mark.slow
@@ -166,15 +171,6 @@ def test_workers_that_die_again_and_again_end_the_sweep(tmp_path: Path) -> None:
     with dask.config.set({"distributed.scheduler.allowed-failures": 0}), refused as error:
         small(path, metrics=[mine], workers=2)
     assert error.value.done == len(records(path)) < 7
-
-
-def test_error_of_a_worker_is_raised_by_the_caller(tmp_path: Path, cluster: LocalCluster) -> None:
-    def fragile(points: Points) -> np.ndarray:
-        raise ZeroDivisionError("of my own")
-
-    mine = Metric("fragile", "m", "", fragile)
-    with pytest.raises(ZeroDivisionError, match="of my own"):
-        small(tmp_path / "map.zarr", metrics=[mine], workers=None, scheduler=cluster.scheduler_address)
 
 
 def limit_files(size: int) -> None:
