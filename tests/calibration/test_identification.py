@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from calibration.measured import PAPER, elsewhere, measure, plan, position_errors
+from error_fields import with_fields
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, kstest
 
@@ -20,10 +21,10 @@ from spm_pin.machine import PARAMETERS
 from spm_pin.support.motion_table import table_text
 
 
-@pytest.mark.parametrize("positions_only", [pytest.param(False, marks=pytest.mark.slow), True])
+@pytest.mark.parametrize("positions_only", [False, True])
 def test_the_platform_is_placed_to_micrometres_afterwards(positions_only: bool) -> None:
     before, after = [], []
-    for seed in range(5):
+    for seed in range(2):
         machine = PAPER.perturbed(seed)
         poses, readings = measure(machine, seed)
         found = identify(PAPER, poses[:, :3, 3] if positions_only else poses, readings)
@@ -37,21 +38,6 @@ def test_the_platform_is_placed_to_micrometres_afterwards(positions_only: bool) 
         assert 0.4 < np.sqrt((after[-1] ** 2).mean() / variance.mean()) < 2.0
     assert 5e-4 < np.sqrt((np.array(before) ** 2).mean()) < 1.3e-3
     assert np.array(after).max() < 5e-5
-
-
-def test_exact_measurements_give_the_machine_up_to_the_choice_of_the_middle_frame() -> None:
-    machine = PAPER.perturbed(1)
-    found = identify(PAPER, *measure(machine, 0, noise=0.0))
-    assert position_errors(found.machine, machine).max() < 1e-11
-    assert np.abs(found.residuals).max() < 1e-12
-    scale = np.tile(np.repeat([1.0, PAPER.middle_side], [2, 7]), 6)
-    difference = (found.machine.parameters - machine.parameters) / scale
-    # What is not identified has been left as it was, all else is right.
-    np.testing.assert_allclose(found.identifiable @ difference, 0.0, atol=1e-6)
-    moved = (found.machine.parameters - PAPER.parameters) / scale
-    np.testing.assert_allclose(found.unidentifiable @ moved, 0.0, atol=1e-12)
-    np.testing.assert_allclose(found.identifiable @ found.identifiable.T, np.eye(48), atol=1e-12)
-    np.testing.assert_allclose(found.identifiable @ found.unidentifiable.T, 0.0, atol=1e-12)
 
 
 def test_parameters_not_asked_for_keep_their_values() -> None:
@@ -87,10 +73,10 @@ def test_weights_are_those_of_the_noise() -> None:
 
 @pytest.mark.slow
 def test_the_covariance_covers_the_errors_as_often_as_it_says() -> None:
-    """200 machines and noises: errors of predicted positions, in units of their covariance, are distributed as χ²."""
+    """60 machines and noises: errors of predicted positions, in units of their covariance, are distributed as χ²."""
     squares, inside = [], []
     states = elsewhere()[:5]
-    for seed in range(200):
+    for seed in range(60):
         machine = PAPER.perturbed(seed)
         found = identify(PAPER, *measure(machine, 1000 + seed))
         legs = states.leg_lengths
@@ -100,8 +86,8 @@ def test_the_covariance_covers_the_errors_as_often_as_it_says() -> None:
         squares.append((gap[0] * np.linalg.solve(covariance[0], gap[0])).sum())
         deviation = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
         inside.append(np.abs(gap) < 1.96 * deviation)
-    # Binomial with correlated entries of a repetition: four standard deviations of 200 independent ones.
-    assert abs(np.mean(inside) - 0.95) < 4.0 * np.sqrt(0.95 * 0.05 / 200)
+    # Binomial with correlated entries of a repetition: four standard deviations of 60 independent ones.
+    assert abs(np.mean(inside) - 0.95) < 4.0 * np.sqrt(0.95 * 0.05 / 60)
     assert kstest(squares, chi2(3).cdf).pvalue > 1e-3
 
 
@@ -139,7 +125,6 @@ def scalar_first(rotation: Any) -> Any:
         (lambda poses, readings: (poses, 100.0 * readings), r"readings: expected lengths in metres.*cm\?"),
         (lambda p, r: (altered(p, position=lambda o: 1000.0 * o), r), r"poses: expected lengths in metres.*mm\?"),
         (lambda p, r: (p, r[:, [0, 4, 2, 3, 1, 5]]), r"readings.*r_b2 holds r_c2, r_c2 holds r_b2.*instead of"),
-        (lambda p, r: (p[:, :3, 3], np.roll(r, 3, axis=-1)), r"readings.*r_b1 holds r_c1.*r_c3 holds r_b3"),
         (
             lambda p, r: (altered(p, rotation=lambda turn: np.swapaxes(turn, -1, -2)), r),
             "poses: expected rotations from {m} to {B}.*Transposed they agree to",
@@ -149,10 +134,8 @@ def scalar_first(rotation: Any) -> Any:
             "poses.*quaternions whose scalar is first. Scalar last they agree to",
         ),
         (lambda p, r: (altered(p, position=lambda o: o * [1, -1, 1]), r), "poses.*other axes. As x, -y, z they agree"),
-        (lambda p, r: (p[:, [1, 0, 2], 3], r), "poses.*other axes. As y, x, z they agree"),
         (lambda p, r: (p[:, :3, 3] * [1, 1, 1000], r), r"poses: expected lengths in metres.*for z.*mm\?"),
         (lambda p, r: (p, np.roll(r, 1, axis=0)), "poses.*order of the readings, got readings shifted by 1 rows"),
-        (lambda p, r: (p[:, :3, 3], np.roll(r, -3, axis=0)), "poses.*order.*got readings shifted by -3 rows"),
         (with_reading(5, 3, lambda _: 0.13), r"readings.*row 5 with.*0\.13.*mistyped"),
         (with_reading(5, 3, lambda _: np.nan), r"readings: expected finite.*index \(5, 3\)"),
         (lambda poses, readings: (poses[:7], readings[:7]), "poses: expected at least 8 measurements for 48.*got 7"),
@@ -172,8 +155,10 @@ def test_wrong_measurements_are_named_and_not_fitted(change: Callable[..., Any],
         identify(PAPER, *change(*measure(PAPER.perturbed(4), 5)))
 
 
-@pytest.mark.parametrize("loss", ["linear", "soft_l1", pytest.param("cauchy", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("shift", [0.01, -0.02, pytest.param(0.02, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("shift", "loss"),
+    [(0.01, "linear"), (-0.02, "soft_l1"), pytest.param(0.02, "cauchy", marks=pytest.mark.slow)],
+)
 def test_encoders_that_all_begin_elsewhere_are_identified(shift: float, loss: str) -> None:
     """A thousand times the noise: a robust loss alone ends far from the machine, with good rows for outliers."""
     machine = PAPER.perturbed(1)
@@ -186,17 +171,17 @@ def test_encoders_that_all_begin_elsewhere_are_identified(shift: float, loss: st
 
 
 @pytest.mark.parametrize(
-    ("change", "row"),
+    ("change", "row", "loss"),
     [
-        (with_reading(17, 2, lambda length: length + 1e-3), 17),
-        (with_reading(5, 2, lambda length: length + 0.3), 5),
-        (with_reading(5, 0, lambda length: length - 0.3), 5),
-        pytest.param(with_reading(5, 4, lambda length: length - 0.3), 5, marks=pytest.mark.slow),
-        pytest.param(with_reading(39, 3, lambda length: length + 0.3), 39, marks=pytest.mark.slow),
-        pytest.param(lambda p, r: with_reading(5, 2, lambda x: x + 0.3)(p, r + 0.01), 5, marks=pytest.mark.slow),
+        (with_reading(17, 2, lambda length: length + 1e-3), 17, "linear"),
+        (with_reading(5, 2, lambda length: length + 0.3), 5, "soft_l1"),
+        (with_reading(5, 0, lambda length: length - 0.3), 5, "linear"),
+        pytest.param(with_reading(39, 3, lambda length: length + 0.3), 39, "cauchy", marks=pytest.mark.slow),
+        pytest.param(
+            lambda p, r: with_reading(5, 2, lambda x: x + 0.3)(p, r + 0.01), 5, "linear", marks=pytest.mark.slow
+        ),
     ],
 )
-@pytest.mark.parametrize("loss", ["linear", "soft_l1", pytest.param("cauchy", marks=pytest.mark.slow)])
 def test_a_wrong_row_alone_is_named(change: Callable[..., Any], row: int, loss: str) -> None:
     machine = PAPER.perturbed(4)
     poses, readings = change(*measure(machine, 5))
@@ -250,7 +235,6 @@ def test_measurements_that_fit_no_machine_are_not_used() -> None:
         ((1.0, 0.95, 1.0), 3e-3, "C is .* mm instead of 329.1 mm.*of the pivot of r_c"),
         ((1.0, 1.0, 1.05), 1e-3, "d is .* mm instead of 840 mm.*of the ball of r_"),
         pytest.param((1.0, 0.9, 1.0), 1e-2, "C is .* instead of 311.8 mm", marks=pytest.mark.slow),
-        pytest.param((1.0, 1.0, 0.95), 3e-3, "d is .* mm instead of 760 mm", marks=pytest.mark.slow),
         pytest.param((1.1, 1.1, 1.1), 1e-4, "[ECd] is .* mm instead of", marks=pytest.mark.slow),
     ],
 )
@@ -265,28 +249,16 @@ def test_another_nominal_machine_is_fitted_and_refused(
         _ = found.machine
 
 
-@pytest.mark.parametrize("seed", [2, 4, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(10, 20))])
+@pytest.mark.parametrize(
+    "seed", [2, pytest.param(10, marks=pytest.mark.slow), pytest.param(15, marks=pytest.mark.slow)]
+)
 def test_errors_of_one_percent_are_taken_for_manufacture(seed: int) -> None:
     machine = PAPER.perturbed(seed, length=0.01 * PAPER.middle_side, angle=0.01)
     assert position_errors(identify(PAPER, *measure(machine, seed)).machine, machine).max() < 5e-5
 
 
-@pytest.mark.slow
-def test_chosen_poses_identify_better_than_random_ones() -> None:
-    random = elsewhere()[:40]
-    machine = PAPER.perturbed(6)
-    chosen, others = (identify(PAPER, *measure(machine, 7, states=states)) for states in (plan(), random))
-    # D: the volume of the ellipsoid of uncertainty, here as a mean deviation.
-    assert np.log(chosen.deviations).mean() < np.log(others.deviations).mean() - 0.1
-    assert len(np.unique(plan().leg_lengths, axis=0)) == 40
-    assert PAPER.limits is not None
-    assert PAPER.limits.contains(plan().leg_lengths).all()
-    again = calibration.choose_poses(PAPER, 40, candidates=300, rng=0)
-    np.testing.assert_array_equal(again.leg_lengths, plan().leg_lengths)
-
-
 def test_few_candidates_are_chosen_from_as_by_trying_all() -> None:
-    legs = np.random.default_rng(8).uniform(1.1, 1.5, (9, 6))
+    legs = np.random.default_rng(8).uniform(1.1, 1.5, (6, 6))
     states = spm.forward_physical(PAPER, legs)
     chosen = calibration.choose_poses(PAPER, 3, candidates=states, parameters="offset")
 
@@ -294,11 +266,11 @@ def test_few_candidates_are_chosen_from_as_by_trying_all() -> None:
         found = identify(PAPER, part.pose, part.leg_lengths, parameters="offset")
         return float(np.log(found.deviations).sum())
 
-    best = min(value(states[list(part)]) for part in combinations(range(9), 3))
+    best = min(value(states[list(part)]) for part in combinations(range(6), 3))
     assert value(chosen) <= best + 0.2
-    with pytest.raises(spm.ArgumentError, match=r"count.*at least 8 for 48"):
+    with pytest.raises(spm.ArgumentError, check=with_fields(argument="count")):
         calibration.choose_poses(PAPER, 5)
-    with pytest.raises(spm.ArgumentError, match=r"machine.*leg limits"):
+    with pytest.raises(spm.ArgumentError, check=with_fields(argument="machine")):
         calibration.choose_poses(spm.Manipulator(0.7, 0.3, 0.8), 40)
 
 
@@ -348,15 +320,6 @@ def test_a_malformed_file_is_refused_with_line_and_column(tmp_path: Path, text: 
         calibration.read_measurements(file)
     with pytest.raises(MeasurementError, match="No such file"):
         calibration.read_measurements(tmp_path / "other.csv")
-
-
-def test_columns_that_are_not_used_are_listed(tmp_path: Path) -> None:
-    file = tmp_path / "measured.csv"
-    file.write_text(f"{HEADING},roll,note\n{ROW},1,2\n", encoding="utf-8")
-    with pytest.warns(UserWarning, match=r"measured\.csv: columns that are not used: roll, note"):
-        poses, readings = calibration.read_measurements(file)
-    assert poses.shape == (1,)
-    assert readings.shape == (1, 6)
 
 
 def test_named_columns_of_a_table_are_taken_by_their_names() -> None:

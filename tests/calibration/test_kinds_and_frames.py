@@ -8,9 +8,8 @@ from calibration.measured import PAPER, elsewhere, measure
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import spm_pin as spm
-from spm_pin import calibration
-from spm_pin.calibration import MeasurementError, error_jacobian, identify, tolerance
-from spm_pin.calibration.error_model import gauge_directions, parameter_scale
+from spm_pin.calibration import MeasurementError, identify
+from spm_pin.calibration.error_model import parameter_scale
 from spm_pin.machine import PRS, RPS, RRS, LegKind, Stage
 
 STAGES: dict[str, tuple[LegKind, tuple[float, float]]] = {
@@ -18,7 +17,6 @@ STAGES: dict[str, tuple[LegKind, tuple[float, float]]] = {
     "PRS": (PRS(rod=0.30, direction=1.4), (0.00, 0.12)),
     "RRS": (RRS(crank=0.15, rod=0.35), (0.1, 0.9)),
 }
-PAIRS = [("RPS", "PRS"), ("PRS", "RRS"), ("RRS", "RPS"), ("PRS", "PRS")]
 
 
 def machine_of(lower: str, upper: str) -> spm.Manipulator:
@@ -37,59 +35,9 @@ def measured(machine: spm.Manipulator, readings: np.ndarray) -> np.ndarray:
     return spm.forward_physical(machine, readings).pose.as_matrix()
 
 
-@pytest.mark.parametrize(("lower", "upper"), PAIRS)
-def test_errors_of_all_parameters_move_the_platform_as_its_displacement_says(lower: str, upper: str) -> None:
-    machine = machine_of(lower, upper).perturbed(3, length=2e-3, angle=1e-2)
-    found = states(machine, 12)
-    assert len(found) >= 10
-    jacobian, unit = error_jacobian(found), 1e-6
-    assert jacobian.shape == (len(found), 6, len(machine.parameter_names))
-    for k, step in enumerate(unit * np.eye(jacobian.shape[-1])):
-        ends = [
-            spm.forward_physical(machine.from_parameters(machine.parameters + s * step), found.readings)
-            for s in (1, -1)
-        ]
-        turn = Rotation.from_matrix(ends[0].rotation @ ends[1].rotation.mT).as_rotvec()
-        moved = np.concatenate([ends[0].translation - ends[1].translation, turn], axis=-1) / (2.0 * unit)
-        np.testing.assert_allclose(moved, jacobian[..., k], atol=1e-6 * max(np.abs(jacobian[..., k]).max(), 1.0))
-
-
-@pytest.mark.parametrize(("lower", "upper"), PAIRS)
-def test_what_no_measurement_shows_is_known(lower: str, upper: str) -> None:
-    """The null space of the derivative by all parameters and frames is spanned by the gauge directions, no more."""
-    machine = machine_of(lower, upper).perturbed(3, length=2e-3, angle=1e-2)
-    found = states(machine, 60)
-    seen_from = calibration.frames.Frames(
-        *(
-            RigidTransform.from_components(*pair).as_matrix()
-            for pair in (
-                ([3, 1, 0.5], Rotation.from_rotvec([0.1, 0.4, 2.0])),
-                ([0.1, 0.05, 0.2], Rotation.from_rotvec([1, 2, 3])),
-            )
-        )
-    )
-    hidden, slides = gauge_directions(machine, seen_from.base, seen_from.target), 3 * (lower, upper).count("PRS")
-    for components, frames in ((6, True), (3, True), (6, False), (3, False)):
-        rows = (
-            seen_from.jacobian(found)[:, :components]
-            if frames
-            else calibration.frames.Frames.as_defined().jacobian(found)[:, :components]
-        )
-        used = np.arange(rows.shape[-1]) < len(machine.parameters) + (6 + components if frames else 0)
-        scale = np.concatenate([parameter_scale(machine), np.ones(12)])
-        matrix = (rows * scale).reshape(-1, len(scale))[:, used]
-        values = np.linalg.svd(matrix, compute_uv=False)
-        count = (18 if frames else 6 if components == 6 else 9) + slides
-        assert values[-count - 1] > 1e-9 * values[0]
-        assert values[-count] < 1e-13 * values[0]
-        if frames:
-            shown = (hidden / scale[:, None])[used]
-            assert np.linalg.matrix_rank(shown, tol=1e-9) == count
-            np.testing.assert_allclose(matrix @ shown, 0.0, atol=1e-13 * values[0])
-
-
-@pytest.mark.parametrize("positions_only", [False, True])
-@pytest.mark.parametrize(("lower", "upper"), [("RRS", "PRS"), ("PRS", "RRS"), ("RRS", "RRS")])
+@pytest.mark.parametrize(
+    ("lower", "upper", "positions_only"), [("RPS", "RPS", False), ("RRS", "PRS", False), ("PRS", "RRS", True)]
+)
 def test_servos_and_screws_are_identified(lower: str, upper: str, positions_only: bool) -> None:
     nominal = machine_of(lower, upper)
     true = nominal.perturbed(2, length=1e-4, angle=5e-4)
@@ -110,35 +58,8 @@ def test_servos_and_screws_are_identified(lower: str, upper: str, positions_only
     np.testing.assert_allclose(found.identifiable[:30] @ difference, 0.0, atol=1e-6)
     moved = (found.machine.parameters - nominal.parameters) / parameter_scale(nominal)
     np.testing.assert_allclose(found.unidentifiable @ moved, 0.0, atol=1e-12)
-
-
-def test_parts_of_a_leg_alone_are_identified() -> None:
-    nominal = machine_of("RRS", "PRS")
-    parameters = nominal.parameters.copy()
-    wrong = [name for name in nominal.parameter_names if name.split(".")[1] in ("crank", "rod")]
-    assert len(wrong) == 9
-    for k, name in enumerate(wrong):
-        parameters[nominal.parameter_names.index(name)] += 1e-3 * (-1) ** k
-    true, plan = nominal.from_parameters(parameters), states(nominal, 30)
-    found = identify(nominal, measured(true, plan.readings), plan.readings, parameters=["crank", "rod"])
-    np.testing.assert_allclose(found.machine.parameters, parameters, atol=1e-9)
-    assert len(found.deviations) == 9
-
-
-def test_angles_in_degrees_and_lengths_in_millimetres_are_named() -> None:
-    nominal = machine_of("RRS", "PRS")
-    plan = states(nominal, 30)
-    for factors, message in (([180.0 / np.pi, 1.0], "radians.*degrees"), ([1.0, 1e3], "metres.*out of proportion")):
-        readings = plan.readings * np.repeat(factors, 3)
-        with pytest.raises(spm.ArgumentError, match=f"readings.*{message}"):
-            identify(nominal, plan.pose, readings)
-
-
-def test_tolerances_of_cranks_and_rods() -> None:
-    nominal = machine_of("RRS", "PRS")
-    found = tolerance(nominal, {"rod": 1e-4, "crank": 1e-4, "offset": 1e-3}, states(nominal, 30), samples=200, rng=0)
-    assert found.sampled_rms == pytest.approx(found.rms, rel=0.1)
-    assert {name for name, share in found.ranking("kind") if share} == {"rod", "crank", "offset"}
+    np.testing.assert_allclose(found.identifiable @ found.identifiable.T, np.eye(len(found.identifiable)), atol=1e-12)
+    np.testing.assert_allclose(found.identifiable @ found.unidentifiable.T, 0.0, atol=1e-12)
 
 
 TRACKER = RigidTransform.from_components([3.0, -2.0, 0.5], Rotation.from_rotvec([0.1, -0.2, 2.0]))
@@ -171,13 +92,6 @@ def test_a_tracker_s_own_frame_is_named_as_a_cause() -> None:
         _ = found.machine
 
 
-def test_poses_are_chosen_for_unknown_frames_too() -> None:
-    candidates = elsewhere()
-    chosen = calibration.choose_poses(PAPER, 12, candidates=candidates, frames=True)
-    assert chosen.shape == (12,)
-    assert np.isin(chosen.readings[:, 0], candidates.readings[:, 0]).all()
-
-
 def test_with_tolerances_what_is_seen_badly_stays_as_near_as_machines_are_made() -> None:
     """An offset against the height of its pivot: millimetres without, and the platform is known as well."""
     true = PAPER.perturbed(3)
@@ -190,7 +104,3 @@ def test_with_tolerances_what_is_seen_badly_stays_as_near_as_machines_are_made()
         assert found.status == "fits"
         predicted, exact = (measured(x, elsewhere().readings) for x in (found.machine, true))
         assert np.linalg.norm((predicted - exact)[:, :3, 3], axis=-1).max() < 4e-5
-    certificate = spm.certify(held.machine, spm.LegLimits(1.1, 1.5))
-    assert certificate.holds
-    assert certificate.errors[0] < 4e-4
-    assert spm.certify(free.machine, spm.LegLimits(1.15, 1.45), boxes=4_000).errors[0] > 2e-3

@@ -7,37 +7,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from calibration.measured import PAPER, elsewhere
-from problems import MANIPULATORS, as_built
-from scipy.spatial.transform import Rotation
+from error_fields import with_fields
+from problems import as_built
 
 import spm_pin as spm
 from spm_pin.calibration import error_jacobian, tolerance
 
 TABLE = {"direction": 1e-4, "pivot": 1e-4, "ball": 1e-4, "offset": 1e-4}
-
-
-@pytest.mark.parametrize("size", [0.0, 2e-2])
-@pytest.mark.parametrize("name", MANIPULATORS)
-def test_it_is_the_derivative_of_the_pose_at_constant_readings(name: str, size: float) -> None:
-    machine = MANIPULATORS[name]
-    built, side = as_built(machine, size), machine.middle_side
-    legs = (1.6 + np.random.default_rng(0).uniform(-0.15, 0.15, (30, 6))) * max(
-        side, 1.2 * abs(machine.base_radius - machine.middle_radius)
-    )
-    state = spm.forward_physical(built, legs)
-    state = state[state.exists]
-    assert len(state) > 5
-    jacobian = error_jacobian(state)
-    for k in range(54):
-        step = np.zeros(54)
-        step[k] = 1e-6 * (1.0 if k % 9 < 2 else side)
-        ahead, behind = (
-            spm.forward_physical(built.from_parameters(built.parameters + s * step), state.readings) for s in (1, -1)
-        )
-        turn = Rotation.from_matrix(ahead.rotation @ np.swapaxes(behind.rotation, -1, -2)).as_rotvec()
-        moved = np.concatenate([(ahead.translation - behind.translation), turn * side], axis=-1) / (2.0 * step[k])
-        expected = jacobian[..., k] * np.repeat([1.0, side], 3)
-        np.testing.assert_allclose(moved, expected, atol=2e-7 * max(np.abs(expected).max(), 1.0))
 
 
 def test_forty_eight_combinations_move_the_platform_and_forty_five_its_position() -> None:
@@ -89,15 +65,15 @@ def test_states_are_drawn_within_the_leg_limits() -> None:
 
 
 @pytest.mark.parametrize(
-    ("call", "message"),
+    ("call", "argument"),
     [
         (lambda: tolerance(PAPER, -np.ones(54)), "tolerances"),
-        (lambda: tolerance(spm.Manipulator(0.7, 0.3, 0.8), TABLE), "machine.*leg limits"),
-        (lambda: tolerance(PAPER.perturbed(1), TABLE, elsewhere()), "states.*of this machine"),
+        (lambda: tolerance(spm.Manipulator(0.7, 0.3, 0.8), TABLE), "machine"),
+        (lambda: tolerance(PAPER.perturbed(1), TABLE, elsewhere()), "states"),
         (lambda: tolerance(PAPER, TABLE, elsewhere(), samples=0).percentile(), "samples"),
         (lambda: tolerance(PAPER, TABLE, elsewhere(), samples=0).ranking("machine"), "by"),
     ],
 )
-def test_wrong_arguments_are_named(call: Callable[[], object], message: str) -> None:
-    with pytest.raises(spm.ArgumentError, match=message):
+def test_wrong_arguments_are_named(call: Callable[[], object], argument: str) -> None:
+    with pytest.raises(spm.ArgumentError, check=with_fields(argument=argument)):
         call()

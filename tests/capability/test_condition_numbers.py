@@ -9,6 +9,8 @@ import spm_pin as spm
 from spm_pin.capability import wrench_polytope
 from spm_pin.kinematics import platform_jacobian, singular_values
 
+pytestmark = pytest.mark.documents
+
 PAPER = spm.Manipulator.paper()
 SHARES = np.random.default_rng(0).uniform(-1.0, 1.0, (4000, 6))
 STATES = spm.forward_physical(PAPER, 1.3 + 0.2 * SHARES)
@@ -25,7 +27,7 @@ def test_three_motions_are_lost_at_the_home() -> None:
 
 
 def test_no_length_makes_the_mechanism_well_conditioned() -> None:
-    lengths = np.geomspace(0.03, 6.0, 60)
+    lengths = np.array([0.03, 0.3, *np.geomspace(0.9, 1.9, 9), 6.0])
     medians = [np.median(x[:, 0] / x[:, -1]) for x in (values(STATES, length) for length in lengths)]
     assert min(medians) == pytest.approx(127.0, abs=1.0)
     assert lengths[np.argmin(medians)] == pytest.approx(1.3, abs=0.1)

@@ -100,31 +100,7 @@ def test_polytopes_of_servos_and_screws_are_those_of_efforts_and_rates() -> None
     np.testing.assert_allclose(np.abs(rates), np.broadcast_to(limits, rates.shape), rtol=1e-6)
 
 
-def test_a_ball_s_rows_bound_its_resultant_to_two_percent() -> None:
-    states = spm.forward_physical(PAPER, LENGTHS)
-    forces, _ = leg_loads(states)
-    resultant = np.linalg.norm(forces, axis=-1)
-    largest = np.abs(joint_reactions(states).ball @ WRENCH).reshape(2, 6, 8).max(axis=-1)
-    assert (largest >= resultant * (1.0 - 1e-12)).all()
-    assert (largest <= 1.02 * resultant).all()
-
-
-def test_a_bearing_s_limit_counts() -> None:
-    state = spm.forward_physical(PAPER, LENGTHS[0])
-    reactions, held = joint_reactions(state), wrench_polytope(state, 1000.0)
-    side = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    bearing = 0.5 * np.abs(reactions.bending @ side).max() * held.extent(side)
-    limited = held.within(reactions.bending, bearing)
-    assert limited.extent(side) == pytest.approx(0.5 * held.extent(side), rel=1e-12)
-    assert limited.half_spaces.A.shape == (24, 6)
-    both = limited.within(reactions.ball, 900.0)
-    assert both.ball() <= limited.ball() < held.ball()
-    assert len(both.section().vertices) > 8
-    batch = spm.forward_physical(PAPER, LENGTHS)
-    rows = joint_reactions(batch).axial
-    assert wrench_polytope(batch, 1000.0).within(rows, [100.0] * 6).ball().shape == (2,)
-
-
+@pytest.mark.documents
 def test_the_numbers_of_the_page_on_capability() -> None:
     state = spm.forward_physical(PAPER, [1.20, 1.20, 1.40, 1.25, 1.20, 1.40])
     held, reactions = wrench_polytope(state, 1000.0), joint_reactions(state)

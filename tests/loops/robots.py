@@ -9,10 +9,10 @@ import pinocchio as pin
 
 from spm_pin.loops.closed_chain import ClosedChain
 from spm_pin.loops.closures import Anchor, Closure, ClosureKind
+from spm_pin.loops.links import find_frame
 
 _HINGES = {"x": pin.JointModelRX, "y": pin.JointModelRY, "z": pin.JointModelRZ}
 _SLIDES = {"x": pin.JointModelPX, "y": pin.JointModelPY, "z": pin.JointModelPZ}
-_INERTIA = pin.Inertia(0.5, np.array([0.05, 0.0, 0.0]), np.diag([1e-3, 2e-3, 2e-3]))
 
 
 def at(x: float = 0.0, y: float = 0.0, z: float = 0.0, turned: Any = (0.0, 0.0, 0.0)) -> Any:
@@ -26,11 +26,12 @@ def hinge(model: Any, parent: str, name: str, placement: Any, axis: str = "z", s
     return add(model, parent, name, placement, kind)
 
 
-def add(model: Any, parent: str, name: str, placement: Any, kind: Any) -> str:
-    """Add a joint of any kind."""
+def add(model: Any, parent: str, name: str, placement: Any, kind: Any, mass: float = 1.0) -> str:
+    """Add a joint of any kind with a rod."""
     joint = model.addJoint(model.getJointId(parent), kind, placement, name)
     model.addJointFrame(joint)
-    model.appendBodyToJoint(joint, _INERTIA, pin.SE3.Identity())
+    inertia = pin.Inertia(mass, np.array([0.1, 0.02, -0.03]), mass * (np.diag([0.02, 0.03, 0.04]) + 0.004))
+    model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
     return name
 
 
@@ -39,10 +40,10 @@ def closure(kind: ClosureKind, first: str, at_first: Any, second: str, at_second
     return Closure(kind, Anchor(first, at_first), Anchor(second, at_second), name)
 
 
-def closed(model: Any, loops: list[Closure], actuated: list[str], guess: Any) -> ClosedChain:
+def closed(model: Any, loops: list[Closure], actuated: list[str], guess: Any, held: list[str] | None = None) -> Any:
     """Return a chain whose `q0` is closed, near a guess."""
-    q0 = ClosedChain(model, loops, actuated, q0=guess).close()
-    return ClosedChain(model, loops, actuated, q0=q0)
+    q0 = ClosedChain(model, loops, actuated, held=held or [], q0=guess).close()
+    return ClosedChain(model, loops, actuated, held=held or [], q0=q0)
 
 
 def four_bar(kind: ClosureKind = "hinge", lengths: tuple[float, ...] = (0.3, 0.1, 0.35, 0.25)) -> ClosedChain:
@@ -80,7 +81,7 @@ def ankle(base: bool = False) -> ClosedChain:
         hinge(model, shank, f"{side}_crank", at(0.0, y, 0.0), "y")
         hinge(model, f"{side}_crank", f"{side}_rod_y", at(-0.05, 0.0, 0.0), "y")
         hinge(model, f"{side}_rod_y", f"{side}_rod_x", at(), "x")
-        loops.append(closure("point", f"{side}_rod_x", at(0.0, 0.0, -0.3), "roll", at(-0.05, y, 0.0), side))
+        loops.append(closure("point", f"{side}_rod_x", at(0.0, 0.0, -0.3), "roll", at(-0.05, y, 0.0), f"{side} rod"))
         guess += [0.0, 0.0, 0.0]
     q0 = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, *guess] if base else guess)
     return closed(model, loops, ["left_crank", "right_crank"], q0)
@@ -104,33 +105,37 @@ def stewart() -> ClosedChain:
     return closed(model, loops, actuated, np.array(q0))
 
 
-def delta() -> ClosedChain:
-    """Return a Delta: three arms with two rods each, whose upper ends are universal joints."""
-    model = pin.Model()
-    for axis in "xyz":
-        hinge(
-            model,
-            "platform_x" if axis == "y" else "platform_y" if axis == "z" else "universe",
-            f"platform_{axis}",
-            at(),
-            axis,
-            slides=True,
-        )
-    turn = add(model, "platform_z", "platform", at(), pin.JointModelSpherical())
-    loops, guess, actuated = [], [0.01, 0.0, -0.4, 0.0, 0.0, 0.0, 1.0], []
-    for arm in range(3):
-        yaw = (0.0, 0.0, 2.0 * np.pi / 3.0 * arm)
-        # The arm points outwards along x, and turns about y; the rods go down from its end.
-        actuated.append(hinge(model, "universe", f"arm{arm}", at(turned=yaw) * at(0.1), "y"))
-        guess.append(0.0)
-        for side, y in (("a", 0.04), ("b", -0.04)):
-            rod = f"rod{arm}{side}"
-            hinge(model, f"arm{arm}", f"{rod}_y", at(0.2, y, 0.0), "y")
-            hinge(model, f"{rod}_y", f"{rod}_x", at(), "x")
-            ball = at(turned=yaw) * at(0.05, y, 0.0)
-            loops.append(closure("point", f"{rod}_x", at(0.0, 0.0, -0.5), turn, ball, f"{rod}_ball"))
-            guess += [0.6, 0.0]
-    return closed(model, loops, actuated, np.array(guess))
+def delta(held: bool = True) -> ClosedChain:
+    """Return a Delta: three arms, six rods on balls of three hinges whose spins are held; else on balls, which spin."""
+    model, loops, actuated, spins = pin.Model(), [], [], []
+    add(model, "universe", "platform", at(), pin.JointModelFreeFlyer(), mass=2.0)
+    for k in range(3):
+        turn = at(turned=(0.0, 0.0, 2.0 * np.pi / 3.0 * k))
+        actuated.append(hinge(model, "universe", f"arm{k}", turn * at(0.2), "y"))
+        for side, y in (("a", -0.08), ("b", 0.08)):
+            rod = f"rod{k}{side}"
+            if held:
+                hinge(model, f"arm{k}", f"{rod}_x", at(0.4, y), "x")
+                hinge(model, f"{rod}_x", f"{rod}_y", at(), "y")
+                spins.append(hinge(model, f"{rod}_y", rod, at(), "z"))
+            else:
+                add(model, f"arm{k}", rod, at(0.4, y), pin.JointModelSpherical())
+            loops.append(closure("point", "platform", turn * at(0.08, y), rod, at(z=-0.8), f"ball {rod}"))
+    q0 = pin.neutral(model)
+    q0[2] = -0.75
+    return closed(model, loops, actuated, q0, spins)
+
+
+def pose_of(model: Any, q: Any, frame: str) -> Any:
+    """Return the placement of a frame in the world."""
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    return data.oMf[find_frame(model, frame)].copy()
+
+
+def ends_of(model: Any, q: Any, closure: Closure) -> list[Any]:
+    """Return both anchors of a closure in the world."""
+    return [pose_of(model, q, anchor.frame) * anchor.placement for anchor in (closure.first, closure.second)]
 
 
 ROBOTS = {"four_bar": four_bar, "five_bar": five_bar, "ankle": ankle, "stewart": stewart, "delta": delta}

@@ -14,7 +14,7 @@ import pytest
 
 import spm_pin as spm
 from spm_pin.loops.closed_chain import ClosedChain
-from spm_pin.loops.links import find_frame
+from tests.loops.robots import pose_of
 
 ROBOTS = Path(__file__).parents[2] / "examples/robots"
 MOBILITY = {
@@ -38,12 +38,6 @@ def robot(name: str) -> ClosedChain:
     return ClosedChain.from_mjcf(ROBOTS / f"{name}.xml")
 
 
-def pose(chain: ClosedChain, q: Array, frame: str) -> Any:
-    data = chain.model.createData()
-    pin.framesForwardKinematics(chain.model, data, q)
-    return data.oMf[find_frame(chain.model, frame)].copy()
-
-
 def at(chain: ClosedChain, scale: float, seed: int = 0) -> Array:
     """Return q at actuators near those at rest."""
     home = chain.close()
@@ -57,11 +51,14 @@ def test_every_robot_is_tested() -> None:
 
 @pytest.mark.parametrize("name", MOBILITY)
 def test_mobility_is_that_of_the_mechanism(name: str) -> None:
+    """At their rest pose as well, where some joints stand still for a moment."""
     chain = robot(name)
-    mobility = chain.mobility(at(chain, 0.02))
-    assert (mobility.dof, mobility.actuated_rank, mobility.rank) == MOBILITY[name]
-    assert mobility.is_fully_driven
-    assert not mobility.is_singular
+    for q in (chain.close(), at(chain, 0.02)):
+        mobility = chain.mobility(q)
+        assert (mobility.dof, mobility.actuated_rank, mobility.rank) == MOBILITY[name]
+        assert mobility.is_fully_driven
+        assert not mobility.is_singular
+        assert mobility.undriven == mobility.redundant == mobility.locked == ()
 
 
 @pytest.mark.parametrize("name", MOBILITY)
@@ -78,7 +75,7 @@ def test_loops_are_closed_as_mujoco_measures_it(name: str) -> None:
     mujoco.mj_forward(model, data)
     assert np.abs(data.efc_pos[data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY]).max() < 1e-12
     for i in range(1, model.nbody):
-        np.testing.assert_allclose(data.xpos[i], pose(chain, q, model.body(i).name).translation, atol=1e-12)
+        np.testing.assert_allclose(data.xpos[i], pose_of(chain.model, q, model.body(i).name).translation, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", MOBILITY)
@@ -88,16 +85,17 @@ def test_forward_and_inverse_undo_each_other(name: str) -> None:
     values = near[chain.actuated_in_q]
     q = chain.forward(values + 0.003 * np.random.default_rng(1).uniform(-1, 1, size=len(values)), near=near)
     rows = {"four_bar": (4,), "five_bar": (0, 2), "ankle": (3, 4), "delta": (0, 1, 2), "tricept": (0, 1, 2, 3, 4)}
-    again = chain.inverse(frame, pose(chain, q, frame).homogeneous, near=near, rows=rows.get(name, (0, 1, 2, 3, 4, 5)))
+    again = chain.inverse(
+        frame, pose_of(chain.model, q, frame).homogeneous, near=near, rows=rows.get(name, (0, 1, 2, 3, 4, 5))
+    )
     np.testing.assert_allclose(again[chain.actuated_in_q], q[chain.actuated_in_q], atol=1e-9)
 
 
 @pytest.mark.parametrize("name", MOBILITY)
 def test_the_power_of_holding_forces_is_that_of_gravity(name: str) -> None:
     chain = robot(name)
-    q, values = at(chain, 0.02), None
-    values = q[chain.actuated_in_q]
-    tau = chain.state(q, np.zeros(chain.model.nv)).inverse_dynamics(np.zeros(chain.model.nv))
+    q = at(chain, 0.02)
+    values, tau = q[chain.actuated_in_q], chain.state(q).holding_forces()
     step, data = 1e-6, chain.model.createData()
     slopes = []
     for k in range(len(values)):
@@ -119,7 +117,7 @@ def test_the_stage_of_two_3rps_is_its_closed_form() -> None:
     for tilt, azimuth, height in ((0.1, 0.3, 0.41), (0.2, 2.0, 0.39), (0.3, 4.0, 0.4)):
         state = spm.inverse_physical(stage, height=height, tilt=tilt, azimuth=azimuth)
         q = chain.forward([*state.readings, 0.41, 0.41, 0.41], near=home)
-        translation, rotation = as_stage(pose(chain, q, "middle"))
+        translation, rotation = as_stage(pose_of(chain.model, q, "middle"))
         np.testing.assert_allclose(translation, state.translation, atol=1e-12)
         np.testing.assert_allclose(rotation, state.rotation, atol=1e-12)
 
@@ -133,7 +131,7 @@ def test_the_stage_of_two_3spr_is_the_closed_form_upside_down() -> None:
     for tilt, azimuth, height in ((0.1, 0.3, 0.41), (0.2, 2.0, 0.39)):
         state = spm.inverse_physical(stage, height=height, tilt=tilt, azimuth=azimuth)
         q = chain.forward([*state.readings[[0, 2, 1]], 0.41, 0.41, 0.41], near=home)
-        translation, rotation = as_stage(turned * pose(chain, q, "middle").inverse() * turned)
+        translation, rotation = as_stage(turned * pose_of(chain.model, q, "middle").inverse() * turned)
         np.testing.assert_allclose(translation, state.translation, atol=1e-12)
         np.testing.assert_allclose(rotation, state.rotation, atol=1e-12)
 
@@ -143,7 +141,7 @@ def test_the_lower_3upu_turns_about_its_centre_and_the_upper_one_translates() ->
     centre = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.05]))  # in the platform between
     for seed in range(3):
         q = at(chain, 0.02, seed)
-        middle, platform = (pose(chain, q, name) for name in ("middle", "platform"))
+        middle, platform = (pose_of(chain.model, q, name) for name in ("middle", "platform"))
         np.testing.assert_allclose((middle * centre).translation, [0.0, 0.0, 0.4], atol=1e-12)
         np.testing.assert_allclose(platform.rotation, middle.rotation, atol=1e-12)
         assert np.abs(pin.log3(middle.rotation)).max() > 1e-2

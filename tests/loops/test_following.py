@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from error_fields import with_fields
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.optimize import least_squares
 
@@ -18,7 +19,7 @@ from spm_pin.loops import following
 from spm_pin.loops.closed_chain import ClosedChain
 from spm_pin.loops.closures import JointEquality
 from spm_pin.loops.constraint_rows import LoopKinematics
-from tests.loops.robots import ROBOTS, ankle, at, closure, five_bar, four_bar, hinge, stewart
+from tests.loops.robots import ROBOTS, ankle, at, closure, five_bar, four_bar, hinge, pose_of, stewart
 
 
 @pytest.fixture(scope="module", params=ROBOTS)
@@ -34,7 +35,7 @@ def far_targets(chain: ClosedChain, number: int, share: float) -> Any:
     return chain.q0[chain.actuated_in_q] + change * chain.rows.units[chain.actuated_in_v]
 
 
-def by_small_steps(chain: ClosedChain, values: Any, steps: int = 400) -> tuple[Any, float]:
+def by_small_steps(chain: ClosedChain, values: Any, steps: int = 200) -> tuple[Any, float]:
     """Return q at the end of a way by small steps of least squares, or where it ends, and the share of the way."""
     problem = chain._follower(None, ()).problem()
     problem.aim(chain.q0, values)
@@ -52,8 +53,9 @@ def by_small_steps(chain: ClosedChain, values: Any, steps: int = 400) -> tuple[A
     return q, 1.0
 
 
-def test_far_targets_are_reached_in_the_mode_or_not_at_all(chain: ClosedChain) -> None:
-    targets, reached = far_targets(chain, 6, 1.0), 0
+@pytest.mark.parametrize("count", [3, pytest.param(15, marks=pytest.mark.slow)])
+def test_far_targets_are_reached_in_the_mode_or_not_at_all(chain: ClosedChain, count: int) -> None:
+    targets, reached = far_targets(chain, count, 1.0), 0
     for values in targets:
         judged, share = by_small_steps(chain, values)
         if share < 1.0:
@@ -85,7 +87,7 @@ def test_scipy_finds_the_same(chain: ClosedChain) -> None:
     kinematics, driven = LoopKinematics(chain.rows), chain.actuated_in_v
     start = chain.q0.copy()
     start[chain.actuated_in_q] = values
-    free = np.setdiff1d(np.arange(chain.model.nv), driven)
+    free = np.setdiff1d(np.arange(chain.model.nv), [*driven, *chain.indices_in_v(*chain.held)])
 
     def errors(x: Any) -> Any:
         v = np.zeros(chain.model.nv)
@@ -136,22 +138,16 @@ def test_free_base_stays() -> None:
     assert_allclose(q[7:], ankle().forward(values, ankle().q0), atol=1e-12)
 
 
-@pytest.mark.parametrize("rows", [(0, 1, 2, 3, 4, 5), (0, 1, 2), (2, 3, 4)])
-def test_inverse_of_a_platform_is_that_of_forward(rows: tuple[int, ...]) -> None:
+def test_inverse_of_a_platform_is_that_of_forward() -> None:
     chain = stewart()
     goal = chain.forward(far_targets(chain, 1, 0.1)[0], chain.q0)
-    data = chain.model.createData()
-    pin.framesForwardKinematics(chain.model, data, goal)
-    frame = chain.model.getFrameId("platform")
-    pose = data.oMf[frame].copy()
-    if len(rows) < 6:
-        with pytest.raises(ArgumentError) as caught:
+    pose = pose_of(chain.model, goal, "platform")
+    for rows in ((0, 1, 2), (2, 3, 4)):
+        with pytest.raises(ArgumentError, check=with_fields(argument="rows")):
             chain.inverse("platform", pose, chain.q0, rows)
-        assert caught.value.argument == "rows"
-        return
-    q = chain.inverse("platform", pose, chain.q0, rows)
+    q = chain.inverse("platform", pose, chain.q0)
     assert_allclose(pin.difference(chain.model, goal, q), 0.0, atol=1e-12)
-    many = chain.inverse("platform", np.broadcast_to(pose.homogeneous, (100, 4, 4)), chain.q0, rows)
+    many = chain.inverse("platform", np.broadcast_to(pose.homogeneous, (100, 4, 4)), chain.q0)
     assert_allclose(many, np.broadcast_to(q, many.shape), atol=1e-12)
 
 
@@ -159,9 +155,7 @@ def test_inverse_of_rows_reaches_those_rows() -> None:
     chain = ankle()
     turn = pin.rpy.rpyToMatrix(0.1, -0.2, 0.3)
     q = chain.inverse("foot", pin.SE3(turn, np.zeros(3)), chain.q0, rows=(3, 4))
-    data = chain.model.createData()
-    pin.framesForwardKinematics(chain.model, data, q)
-    error = pin.log3(turn @ data.oMf[chain.model.getFrameId("foot")].rotation.T)
+    error = pin.log3(turn @ pose_of(chain.model, q, "foot").rotation.T)
     assert_allclose(error[:2], 0.0, atol=1e-13)
     assert abs(error[2]) > 0.1
 
@@ -186,21 +180,17 @@ def test_held_joints_stay() -> None:
 def test_too_few_and_too_many_actuators_are_refused() -> None:
     chain = five_bar()
     few = ClosedChain(chain.model, chain.closures, ["left"], q0=chain.q0)
-    with pytest.raises(ArgumentError) as caught:
+    with pytest.raises(ArgumentError, check=with_fields(argument="actuated")) as caught:
         few.forward([chain.q0[0] + 0.1], chain.q0)
-    assert caught.value.argument == "actuated"
     assert "right" in caught.value.cause
     many = ClosedChain(chain.model, chain.closures, ["left", "right", "left_rod"], q0=chain.q0)
-    with pytest.raises(ArgumentError) as caught:
+    with pytest.raises(ArgumentError, check=with_fields(argument="actuated")):
         many.forward(chain.q0[[0, 2, 1]] + [0.1, 0.0, 0.0], chain.q0)
-    assert caught.value.argument == "actuated"
-    # Values that fit have an answer.
-    goal = chain.forward(chain.q0[[0, 2]] + [0.001, 0.0], chain.q0)
     model = chain.model.copy()
     hinge(model, "right", "tail", at(0.1))
     free = ClosedChain(model, chain.closures, ["left", "right"], q0=np.append(chain.q0, 0.0)[[0, 1, 2, 3, 4]])
     with pytest.raises(ArgumentError) as caught:
-        free.forward(goal[[0, 2]], free.q0)
+        free.forward(chain.q0[[0, 2]], free.q0)
     assert "tail" in caught.value.received
 
 
@@ -224,15 +214,6 @@ def test_singular_start_is_said() -> None:
     assert "coupler" in caught.value.cause
     q = flat.forward([1.0], flat.close([0.5, -0.5, 0.5]))
     assert_allclose(q, [1.0, -1.0, 1.0], atol=1e-14)
-
-
-def test_dependent_rows_close_to_rounding() -> None:
-    points = four_bar("point")
-    welded = four_bar("hinge")
-    assert points.rows.count == 3
-    assert welded.rows.count == 5
-    for crank in (-1.0, 2.0):
-        assert_allclose(welded.forward([crank], welded.q0), points.forward([crank], points.q0), atol=1e-13)
 
 
 def test_copies_and_threads_answer_alike() -> None:
@@ -269,27 +250,20 @@ def test_model_is_a_copy() -> None:
 
 
 def test_wrong_arguments_are_named() -> None:
-    chain = five_bar()
-    for wrong, argument in (([0.1], "values"), ([np.nan, 0.1], "values"), (["a", "b"], "values")):
-        with pytest.raises(ArgumentError) as caught:
-            chain.forward(wrong, chain.q0)
-        assert caught.value.argument == argument
-    with pytest.raises(ArgumentError) as caught:
-        chain.inverse("tap", pin.SE3.Identity(), chain.q0)
-    assert (caught.value.argument, "tip" in caught.value.cause) == ("frame", True)
-    with pytest.raises(ArgumentError) as caught:
-        chain.inverse("tip", pin.SE3.Identity(), chain.q0, rows=(0, 6))
-    assert caught.value.argument == "rows"
-    for frame, rows, argument in (("tip", 3, "rows"), ("tip", None, "rows"), (None, (0, 1), "frame")):
-        with pytest.raises(ArgumentError) as caught:
-            chain.inverse(frame, pin.SE3.Identity(), chain.q0, rows=rows)  # type: ignore[arg-type]
-        assert caught.value.argument == argument
-    with pytest.raises(ArgumentError) as caught:
+    chain, pose = five_bar(), pin.SE3.Identity()
+    for argument, call, *wrong in (
+        *(("values", chain.forward, values, chain.q0) for values in ([0.1], [np.nan, 0.1], ["a", "b"])),
+        ("values", chain.forward, np.zeros((3, 2)), np.zeros((2, 4))),
+        *(("rows", chain.inverse, "tip", pose, chain.q0, rows) for rows in ((0, 6), 3, None)),
+        ("frame", chain.inverse, None, pose, chain.q0, (0, 1)),
+    ):
+        with pytest.raises(ArgumentError, check=with_fields(argument=argument)):
+            call(*wrong)
+    with pytest.raises(ArgumentError, check=with_fields(argument="frame")) as caught:
+        chain.inverse("tap", pose, chain.q0)
+    assert "tip" in caught.value.cause
+    with pytest.raises(ArgumentError, check=with_fields(argument="closures", index="0")):
         ClosedChain(chain.model, [3], ["left"])  # type: ignore[list-item]
-    assert (caught.value.argument, caught.value.index) == ("closures", "0")
-    with pytest.raises(ArgumentError) as caught:
+    with pytest.raises(ArgumentError, check=with_fields(argument="actuated")) as caught:
         ClosedChain(chain.model, chain.closures, ["lift"])
-    assert (caught.value.argument, "left" in caught.value.cause) == ("actuated", True)
-    with pytest.raises(ArgumentError) as caught:
-        chain.forward(np.zeros((3, 2)), np.zeros((2, 4)))
-    assert caught.value.argument == "values"
+    assert "left" in caught.value.cause

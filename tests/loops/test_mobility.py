@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pinocchio as pin
 import pytest
-from loops.mechanisms import MAKERS, Tree, at, mechanism, rotation, states
+from loops.mechanisms import MAKERS, mechanism, states
 
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
 from spm_pin.loops.closed_chain import ClosedChain
-from spm_pin.loops.closures import Anchor, Closure
-from spm_pin.loops.read_sdf import read_sdf
+from tests.loops.robots import at, closure, hinge
 
 KNOWN = {
     # Degrees of freedom, equations, rank, driven ones.
@@ -61,15 +58,15 @@ def test_joints_that_are_not_driven_have_names() -> None:
 
 def test_locked_joints_have_names() -> None:
     """A spatial four-bar of four hinges in general places is a structure; a joint beside it moves."""
-    tree, parent, rng = Tree("locked"), "universe", np.random.default_rng(30)
+    model, parent, rng = pin.Model(), "universe", np.random.default_rng(30)
     for k in range(3):
-        place = at(*rng.uniform(0.2, 0.5, 3), rotation=rotation("x", 0.5 + k) @ rotation("y", 0.4))
-        parent = tree.add(parent, pin.JointModelRZ(), f"axis{k}", place)
-    tree.add("universe", pin.JointModelPX(), "slide")
-    data = tree.model.createData()
-    pin.forwardKinematics(tree.model, data, np.zeros(4))
-    closure = Closure("hinge", Anchor("universe", data.oMi[3] * at(0.3, 0.1)), Anchor(parent, at(0.3, 0.1)), "last")
-    found = ClosedChain(tree.model, [closure], ["axis0", "slide"]).mobility(np.zeros(4))
+        place = at(*rng.uniform(0.2, 0.5, 3), turned=(0.5 + k, 0.0, 0.0)) * at(turned=(0.0, 0.4, 0.0))
+        parent = hinge(model, parent, f"axis{k}", place)
+    hinge(model, "universe", "slide", at(), "x", slides=True)
+    data = model.createData()
+    pin.forwardKinematics(model, data, np.zeros(4))
+    last = closure("hinge", "universe", data.oMi[3] * at(0.3, 0.1), parent, at(0.3, 0.1), "last")
+    found = ClosedChain(model, [last], ["axis0", "slide"]).mobility(np.zeros(4))
     assert (found.dof, found.rank, found.actuated_rank) == (1, 3, 1)
     assert found.locked == ("axis0", "axis1", "axis2")
     assert found.redundant == ("axis0",)
@@ -84,57 +81,6 @@ def test_a_singularity_of_the_loops_is_told_from_dependent_equations() -> None:
     with pytest.raises(SingularConfigurationError) as raised:
         chain.state(np.zeros(4)).forward_dynamics(np.zeros(3))
     assert raised.value.kind == "constraint"
-
-
-EXAMPLES = {"four_bar": 1, "five_bar": 2, "ankle": 2, "delta": 3, "tricept": 5, "stewart": 6}
-EXAMPLES |= dict.fromkeys(("two_3rps", "two_3spr", "two_3upu"), 6)
-
-
-@pytest.mark.parametrize("name", EXAMPLES)
-def test_robots_of_the_examples_are_fully_driven(name: str) -> None:
-    """At their rest pose as well, where some joints stand still for a moment."""
-    pytest.importorskip("mujoco")
-    chain = ClosedChain.from_mjcf(Path(__file__).parents[2] / "examples" / "robots" / f"{name}.xml")
-    found = chain.mobility(chain.close())
-    assert (found.dof, found.actuated_rank, found.actuators) == (EXAMPLES[name],) * 3
-    assert found.is_fully_driven
-    assert not found.is_singular
-    assert found.undriven == found.redundant == found.locked == ()
-    tau = np.arange(1.0, 1.0 + found.actuators)
-    state = chain.state(chain.close())
-    assert state.inverse_dynamics(state.forward_dynamics(tau)) == pytest.approx(tau, rel=1e-10)
-
-
-CASSIE = {
-    "cassie_reduced": (11, 12, 12, 8),
-    "cassie_wo_gearbox_spring": (13, 16, 14, 10),
-    "cassie_v2": (18, 12, 10, 10),
-}
-
-
-@pytest.mark.parametrize("name", CASSIE)
-def test_published_files_have_their_faults(name: str) -> None:
-    """Of two Cassies, the planar loops repeat an equation each; in the third they lock both feet."""
-    data = pytest.importorskip("example_robot_data")
-    robot = read_sdf(
-        data.getModelPath(f"cassie_description/robots/{name}.sdf") + f"/cassie_description/robots/{name}.sdf"
-    )
-    motors = [f"{side}-{motor}-op" for side in ("left", "right") for motor in ("roll", "yaw", "pitch", "knee", "foot")]
-    chain = ClosedChain(robot.model, robot.closures, motors, equalities=robot.equalities, q0=robot.q0)
-    found = chain.mobility(chain.close())
-    assert (found.dof, found.rows, found.rank, found.actuated_rank) == CASSIE[name]
-    assert not found.is_singular
-    is_locked = name == "cassie_reduced"
-    assert found.redundant == (("left-foot-op", "right-foot-op") if is_locked else ())
-    assert set(found.redundant) <= set(found.locked)
-    planar = {} if is_locked else {"left-plantar-foot-joint": 1, "right-plantar-foot-joint": 1}
-    assert found.dependent == planar
-
-
-def test_the_text_says_what_is_wrong() -> None:
-    text = repr(mechanism("Delta").mobility(states("Delta")[0][0]))
-    for part in ("9 degrees of freedom", "3 of them driven", "rank 18", "rod2b"):
-        assert part in text
 
 
 def test_open_loops_and_batches_are_refused() -> None:

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from loops.mechanisms import MAKERS, Array, at, mechanism, states
+from loops.mechanisms import MAKERS, Array, mechanism, states
 
 from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.loops.closed_chain import ClosedChain
-from spm_pin.loops.closures import Anchor, Closure
+from tests.loops.robots import at, closure, pose_of
 
 DRIVEN = [name for name in MAKERS if name not in ("Delta", "parallelogram")]
 
@@ -26,12 +26,6 @@ def differences(chain: ClosedChain, q: Array, function: Any, directions: Array, 
         )
         columns.append((8.0 * near - far) / (12.0 * step))
     return np.array(columns).T
-
-
-def place(chain: ClosedChain, q: Array, frame: str) -> Any:
-    data = chain.model.createData()
-    pin.framesForwardKinematics(chain.model, data, q)
-    return data.oMf[chain.model.getFrameId(frame)].copy()
 
 
 @pytest.mark.parametrize("name", MAKERS)
@@ -62,7 +56,7 @@ def test_the_twist_of_a_frame_is_that_of_its_motion(name: str) -> None:
     chain = mechanism(name)
     frame, step = chain.joint_names[-1], 1e-6
     for q, v in states(name, 3):
-        before, after = (place(chain, pin.integrate(chain.model, q, s * v), frame) for s in (-step, step))
+        before, after = (pose_of(chain.model, pin.integrate(chain.model, q, s * v), frame) for s in (-step, step))
         linear = (after.translation - before.translation) / (2.0 * step)
         angular = pin.log3(after.rotation @ before.rotation.T) / (2.0 * step)
         twist = chain.state(q, v).twist(frame)
@@ -94,8 +88,8 @@ def test_accelerations_are_differences_of_velocities(name: str) -> None:
 
 def test_rates_at_a_forward_singularity_are_refused() -> None:
     """A four-bar whose coupler and rocker are in line, 0.8 together: its crank stands still while they move."""
-    closure = Closure("hinge", Anchor("coupler", at(0.5)), Anchor("rocker", at(-0.3)), "pin")
-    chain = ClosedChain(mechanism("four-bar").model, [closure], ["crank"], q0=[0.7, 0.1, 1.7])
+    pinned = closure("hinge", "coupler", at(0.5), "rocker", at(-0.3), "pin")
+    chain = ClosedChain(mechanism("four-bar").model, [pinned], ["crank"], q0=[0.7, 0.1, 1.7])
     crank = np.arccos((0.3**2 + 1.0 - 0.8**2) / (2.0 * 0.3))
     direction = np.arctan2(-0.3 * np.sin(crank), 1.0 - 0.3 * np.cos(crank))
     q = np.array([crank, direction - crank, direction])

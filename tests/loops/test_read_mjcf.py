@@ -16,6 +16,7 @@ from spm_pin.errors import DescriptionError
 from spm_pin.loops.closures import RobotDescription
 from spm_pin.loops.links import find_frame
 from spm_pin.loops.read_mjcf import read_mjcf
+from tests.loops.robots import ends_of
 
 EVERYTHING = """<mujoco model="everything">
   <option gravity="0.1 -0.2 -9.7"/>
@@ -130,10 +131,7 @@ def test_places_gaps_and_masses_are_those_of_mujoco(robot: RobotDescription) -> 
                 np.testing.assert_allclose(found.translation, position, atol=1e-12)
                 np.testing.assert_allclose(found.rotation, thing.xmat.reshape(3, 3), atol=1e-12)
         for closure in robot.closures:
-            first, second = (
-                pin_data.oMf[find_frame(model, anchor.frame)] * anchor.placement
-                for anchor in (closure.first, closure.second)
-            )
+            first, second = ends_of(model, q, closure)
             gap = efc_gaps(compiled, data, closure.name)
             np.testing.assert_allclose(first.translation - second.translation, gap[:3], atol=1e-12)
             if closure.kind == "weld":

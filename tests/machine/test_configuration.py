@@ -69,13 +69,6 @@ def test_everything_is_batched_and_read_only() -> None:
     np.testing.assert_array_equal(batch[2:4].leg_lengths, batch.leg_lengths[2:4])
 
 
-def test_the_callers_array_is_copied(configuration: spm.Configuration) -> None:
-    joints = np.array(configuration.middle_joints)
-    state = spm.Configuration(configuration.machine, POSE, joints)
-    joints[:] = 0.0
-    np.testing.assert_array_equal(state.middle_joints, configuration.middle_joints)
-
-
 @pytest.mark.parametrize("duplicate", [copy.copy, copy.deepcopy, lambda state: pickle.loads(pickle.dumps(state))])
 def test_copies_are_equal_and_read_only(
     configuration: spm.Configuration, duplicate: Callable[[spm.Configuration], spm.Configuration]
@@ -137,20 +130,6 @@ def test_a_single_state_is_no_sequence(configuration: spm.Configuration) -> None
         iter(configuration)
     with pytest.raises(TypeError, match="no length"):
         len(configuration)
-
-
-def test_a_defect_while_indexing_is_not_blamed_on_the_index(
-    configuration: spm.Configuration, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def broken(*_: object) -> None:
-        raise ZeroDivisionError
-
-    batch = stacked([configuration, configuration])
-    monkeypatch.setattr(spm.Configuration, "transformed", broken)
-    with pytest.raises(ZeroDivisionError):
-        batch[0]
-    with pytest.raises(SelectionError):
-        batch[2]
 
 
 def test_no_states_make_no_batch() -> None:

@@ -119,26 +119,6 @@ def test_the_turns_of_a_machine_as_built_are_about_its_own_axes(size: float) -> 
         np.testing.assert_array_equal(joint_angles(states[k]).values, joint_angles(states).values[k])
 
 
-@pytest.mark.parametrize("shape", [(), (1,), (3, 1, 2), (0,)], ids=str)
-def test_a_member_has_the_same_bits_in_any_batch(shape: tuple[int, ...]) -> None:
-    states = random_branches(PAPER, "TF", 5000, 2).configuration
-    together = joint_angles(states)
-    size = int(np.prod(shape))
-    chosen = np.random.default_rng(3).integers(5000, size=shape)
-    alone = joint_angles(states[chosen])
-    for name in NAMES:
-        assert getattr(alone, name).shape[: len(shape)] == shape
-        assert np.array_equal(getattr(alone, name), getattr(together, name)[chosen])
-    assert size == alone.closure_residual.size
-
-
-def test_the_balls_of_some_corners_are_those_of_all() -> None:
-    states = random_branches(PAPER, "TT", 9, 4).configuration
-    every, some = joint_angles(states), joint_angles(states, corners=(2, 0))
-    for name in ("ball_x", "ball_y", "ball_z"):
-        assert np.array_equal(getattr(some, name), getattr(every, name)[:, [2, 0, 5, 3]])
-
-
 def test_absent_members_are_nan_everywhere() -> None:
     states = random_branches(PAPER, "TT", 3, 7).configuration
     joints = states.middle_joints.copy()

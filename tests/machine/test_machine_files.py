@@ -86,23 +86,18 @@ BOMB = "".join(
         (GOOD + "middle_side: 0.9\n", "(?s)the key 'middle_side' twice.*line 5"),
         (GOOD.replace("[1.10, 1.50]", "{r_b1: [1, 2], r_b1: [1, 2]}"), "(?s)the key 'r_b1' twice.*line 4"),
         (f"a: &a lol\n{BOMB}leg_limits: *i\n", "an alias within an anchored node"),
-        (GOOD.replace("[1.10, 1.50]", "&a [*a, *a]"), "an alias within an anchored node"),
         ("[" * 10_000, "a YAML file"),
         ("# " + "x" * 2_000_000, "at most 1048576 characters"),
         ('base_side: "\\UFFFFFFFF"', "a YAML file"),
         ("base_side: 1.2\x00", "a YAML file"),
         ("%YAML 99999.1\n---\n" + GOOD, "a YAML file"),
-        ("%TAG ! !\n%TAG ! !\n---\n" + GOOD, "a YAML file"),
-        ("base_side: !<> 1", "a YAML file"),
         (GOOD.replace("1.20", "!!float x"), "^base_side in .* positive length"),
         (GOOD.replace("1.20", "!!python/object/apply:os.system [ls]"), "positive length"),
         (GOOD.replace("1.20", "010"), "positive length"),
         (GOOD + "0: 1\n0.0: 2\n", "(?s)the key 0.0 twice.*line 6"),
         (GOOD.replace("1.20", "1:99"), "positive length"),
-        (GOOD.replace("1.20", "9" * 400), "positive length"),
         (GOOD.replace("1.20", "1e400"), "positive length"),
         (GOOD.replace("1.20", ".nan"), "positive length"),
-        (GOOD.replace("1.20", "true"), "positive length"),
         (GOOD.replace("1.20", "'1.2'"), "positive length"),
         (GOOD.replace("middle_side", "d"), r"got the key 'd'\. d is middle_side"),
         ("? [a, b]\n: 1\n" + GOOD, "unhashable key"),
@@ -131,7 +126,7 @@ FRAGMENTS = st.sampled_from(WORDS) | st.sampled_from(":[]{}!%|>'\"\\#@`.e~\t") |
 EDIT = st.tuples(st.integers(0, len(GOOD)), st.integers(0, 6), FRAGMENTS)
 
 
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.lists(EDIT, min_size=1, max_size=4))
 @pytest.mark.filterwarnings("ignore:.*another unit")
 def test_a_mutated_file_gives_a_geometry_or_a_geometry_error(tmp_path: Path, edits: list[tuple[int, int, str]]) -> None:

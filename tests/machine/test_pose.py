@@ -3,7 +3,6 @@ from __future__ import annotations
 import numpy as np
 import pinocchio
 import pytest
-from error_fields import with_fields
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -126,13 +125,6 @@ def replaced(row: object, column: object, value: object) -> np.ndarray:
 def test_what_is_no_pose_is_refused(make: object, words: str) -> None:
     with pytest.raises(spm.PoseError, match=words):
         make()  # type: ignore[operator]
-
-
-def test_the_argument_is_named_in_the_callers_words() -> None:
-    with pytest.raises(spm.PoseError, check=with_fields(argument="pose")) as caught:
-        spm.inverse_displacement(spm.Manipulator.paper(), np.zeros((3, 3)))
-    assert caught.value.argument == "pose"
-    assert isinstance(caught.value, ValueError)
 
 
 def test_angles_in_degrees_are_noticed() -> None:

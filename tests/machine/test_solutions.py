@@ -111,7 +111,7 @@ def test_within_keeps_what_respects_the_limits(batch: spm.SolutionSet) -> None:
     assert unlimited.within() is unlimited
 
 
-@pytest.mark.parametrize(("machine", "count"), [(PAPER, 50_000), (PAPER.perturbed(1, length=1e-3, angle=1e-3), 5_000)])
+@pytest.mark.parametrize(("machine", "count"), [(PAPER, 2_000), (PAPER.perturbed(1, length=1e-3, angle=1e-3), 200)])
 def test_a_state_with_legs_at_their_end_stops_keeps_its_branch(machine: spm.Manipulator, count: int) -> None:
     """Its readings computed from its pose are beyond the stops by rounding in about half of all cases."""
     states, limits = at_end_stops(machine, count), machine.limits
@@ -159,7 +159,7 @@ def test_no_solution_has_no_physical_one() -> None:
 
 
 def test_the_physical_branch_is_the_one_the_pose_was_made_from() -> None:
-    problem = in_leg_space(PAPER, 20_000, seed=3)
+    problem = in_leg_space(PAPER, 4_000, seed=3)
     solutions = spm.inverse_displacement(PAPER, problem.pose)
     chosen = solutions.physical()
     assert chosen.exists.all()
@@ -196,9 +196,9 @@ def test_one_returns_the_only_solution_or_raises(branches: spm.SolutionSet) -> N
 
 @pytest.mark.parametrize("modes", spm.machine.FAMILIES)
 def test_branches_in_any_order_get_their_canonical_labels(modes: str) -> None:
-    problem = random_branches(PAPER, modes, 2_000, seed=4)
+    problem = random_branches(PAPER, modes, 300, seed=4)
     solutions = spm.inverse_displacement(PAPER, problem.pose)
-    shuffled = np.random.default_rng(0).permuted(np.arange(8)[None].repeat(2_000, 0), axis=1)
+    shuffled = np.random.default_rng(0).permuted(np.arange(8)[None].repeat(300, 0), axis=1)
     joints = np.take_along_axis(solutions.middle_joints, shuffled[..., None, None], axis=1)
     again = spm.SolutionSet.from_unordered(PAPER, problem.pose, joints)
     np.testing.assert_array_equal(again.middle_joints, solutions.middle_joints)
@@ -234,19 +234,6 @@ def test_the_error_of_a_level_pose_says_why_and_what_to_do() -> None:
     assert re.search(f"does not exist: a {words}", repr(absent))
     with pytest.raises(spm.ArgumentError, match=f"^configuration: expected a configuration that exists, .*{words}"):
         check_configuration(absent, existing=True)
-    assert pickle.loads(pickle.dumps(absent)).missing_reason == absent.missing_reason
-    pair = spm.inverse_displacement(PAPER, np.stack([LEVEL.as_matrix(), LEVEL.as_matrix()]))
-    with pytest.raises(spm.NotOneSolutionError, match=rf"index \(0,\): a {words}"):
-        pair.one()
-
-
-def test_the_ways_on_from_a_level_pose_lead_to_it() -> None:
-    state = spm.forward_physical(PAPER, [1.15] * 6)
-    assert state.exists
-    np.testing.assert_allclose(state.rotation, np.eye(3), atol=1e-12)
-    tilted = spm.inverse_displacement(PAPER, spm.pose(state.translation, xyx=[0.0, 1e-4, 1e-4]))
-    assert tilted.status is spm.Status.OK
-    assert tilted.nearest(state).closure_residual < 1e-12
 
 
 @pytest.mark.parametrize(

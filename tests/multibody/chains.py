@@ -5,18 +5,25 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
+import kinds_of_legs
 import numpy as np
 import numpy.typing as npt
 import problems
+from balancers import existing_states, stage_and_height
 
 import spm_pin as spm
+from spm_pin.machine import PRS, RRS, Stage
 
 Array = npt.NDArray[np.float64]
 
 EPS = float(np.finfo(float).eps)
 PAPER = spm.Manipulator.paper()
 POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
-MACHINES = {**problems.MANIPULATORS, "as built": problems.as_built(PAPER, 1e-2)}
+MACHINES = {
+    "paper": PAPER,
+    "millimetres": problems.MANIPULATORS["millimetres"],
+    "as built": problems.as_built(PAPER, 1e-2),
+}
 NAMES = list(MACHINES)
 BALL_ANGLES = ("ball_b1_y", "ball_c1_y")
 
@@ -42,7 +49,7 @@ def placed(name: str, count: int, seed: int) -> list[tuple[spm.Configuration, Ar
         readings = machine.legs.offsets + np.random.default_rng(seed).uniform(1.15, 1.45, (3 * count, 6))
         return [(state, chain(name).joint_values(state)) for state in spm.forward_physical(machine, readings)]
     for family in spm.machine.FAMILIES:
-        for state in problems.random_branches(problems.MANIPULATORS[name], family, count, seed).configuration:
+        for state in problems.random_branches(machine, family, count, seed).configuration:
             q = chain(name).joint_values(state)
             if np.abs(q[chain(name).joint_indices(*BALL_ANGLES)]).max() <= np.deg2rad(85.0):
                 found.append((state, q))
@@ -98,3 +105,23 @@ def wrench_conditions(state: spm.Configuration) -> tuple[float, float]:
     """Smallest singular values of the closed form's J_b or J_c, and of its K; lengths in units of d."""
     lower, upper, across = np.linalg.svd(problems.wrench_matrices(state), compute_uv=False)[:, -1]
     return min(lower, upper), across
+
+
+WRENCH = np.array([3.0, -2.0, -50.0, 0.4, -0.6, 0.8])
+SERVOS = Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35), limits=(-0.5, 1.5))
+SCREWS = Stage(0.20, 0.25, PRS(rod=0.30), limits=(-0.05, 0.25))
+ROBOTS = {
+    "servos below screws": lambda: spm.forward_physical(
+        spm.Manipulator.of_stages(SERVOS, SCREWS), [[0.4, 0.5, 0.6, 0.10, 0.12, 0.14], [0.5, 0.4, 0.5, 0.12, 0.1, 0.1]]
+    ),
+    "PRS below RRS as built": lambda: kinds_of_legs.states(kinds_of_legs.machine_of_kinds("PRS", "RRS", built=True)),
+    "RPS below PRS as built": lambda: kinds_of_legs.states(kinds_of_legs.machine_of_kinds("RPS", "PRS", built=True)),
+}
+
+
+@cache
+def start(name: str) -> tuple[Any, Any, Array]:
+    """Return the chain of a machine, regular states of it, and their joint values."""
+    states = ROBOTS[name]()[:3] if name in ROBOTS else existing_states(*stage_and_height(name), 6)
+    chain = spm.ClosedChain.from_urdf(machine=states.machine)
+    return chain, states, chain.joint_values(states)

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import csv
 import io
-import itertools
 import json
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import problems
 import pytest
 from error_fields import with_fields
-from multibody.chains import EPS, MACHINES, NAMES, PAPER, POSE, Array, chain, placed, random_q, rounding, six_branches
+from multibody.chains import EPS, MACHINES, NAMES, PAPER, POSE, chain, placed, random_q, rounding
 
 import spm_pin as spm
 from spm_pin.errors import (
@@ -25,7 +22,6 @@ from spm_pin.errors import (
     SpmError,
     UnreachableError,
 )
-from spm_pin.multibody.closure_solvers import close_loops
 from spm_pin.multibody.trajectory import PlatformMotion, PlatformPath
 
 pytest.importorskip("pinocchio")
@@ -36,21 +32,6 @@ LENGTHS = [
     [1.22, 1.20, 1.42, 1.24, 1.18, 1.42],
 ]
 WAYPOINTS = spm.forward_physical(PAPER, LENGTHS).pose
-
-
-def test_one_after_the_other() -> None:
-    """Along a path each member starts from the one before: the same joints as one by one, continuous all the way."""
-    robot = chain()
-    begin, end = np.array([1.2, 1.2, 1.4, 1.25, 1.2, 1.45]), np.array([1.4, 1.3, 1.15, 1.2, 1.45, 1.2])
-    legs = begin + np.linspace(0.0, 1.0, 50)[:, None] * (end - begin)
-    q = robot.forward_kinematics(begin)
-    together = robot.forward_kinematics(legs, q)
-    for k, row in enumerate(legs):
-        q = robot.forward_kinematics(row, q)
-        assert np.abs(q - together[k]).max() <= 1e-11
-    assert np.abs(np.diff(together, axis=0)).max() < 0.2
-    # Warm, there is nothing left to do.
-    assert np.array_equal(robot.forward_kinematics(robot.leg_lengths(q), q), q)
 
 
 def test_poses_are_reached_in_the_branch_started_from() -> None:
@@ -74,18 +55,6 @@ def test_poses_are_reached_in_the_branch_started_from() -> None:
         share = float(re.findall(r"No further than (\S+) %", str(caught.value))[0]) / 100.0
         around = POSE.translation + np.array([[share - 2e-3], [share + 2e-3]]) * moved
         assert list(spm.inverse_displacement(PAPER, spm.pose(around, rotation=POSE.rotation)).count) == [6, 4]
-
-
-def test_rates_are_the_other_way_of_joint_velocities() -> None:
-    robot = chain()
-    for state in six_branches():
-        q = robot.joint_values(state)
-        rates = np.random.default_rng(402).normal(size=6)
-        v = robot.state(q).joint_rates(rates)
-        assert np.array_equal(v[robot.leg_indices], rates) or np.allclose(v[robot.leg_indices], rates, rtol=1e-14)
-        twist = spm.kinematics.platform_jacobian(state) @ rates
-        allowed = 1e-10 * np.abs(v).max() / robot.state(q).singular_values().inverse
-        assert np.abs(robot.state(q).joint_velocities(twist) - v).max() <= allowed
 
 
 def test_unreachable_targets() -> None:
@@ -131,8 +100,8 @@ def test_eased_paths_rest_at_both_ends_and_others_meet_their_poses() -> None:
 
 def test_invalid_paths_and_trajectories_are_refused() -> None:
     path = PlatformPath([0.0, 1.0, 2.0], WAYPOINTS)
-    for times, message in (([0.0, 0.0, 1.0], "increasing"), ([0.0], "at least 2")):
-        with pytest.raises(ArgumentError, match=f"^times: .*{message}"):
+    for times in ([0.0, 0.0, 1.0], [0.0]):
+        with pytest.raises(ArgumentError, check=with_fields(argument="times")):
             PlatformPath(times, WAYPOINTS)
     with pytest.raises(PoseError, check=with_fields(argument="poses")):
         PlatformPath([0.0, 1.0], WAYPOINTS)
@@ -140,15 +109,10 @@ def test_invalid_paths_and_trajectories_are_refused() -> None:
         path([0.0, 2.1])
     robot = chain()
     q = robot.joint_values(spm.inverse_displacement(PAPER, WAYPOINTS[0]).physical())
-    for path_of_wrong_kind in (WAYPOINTS, lambda: None, lambda t, q: None):
-        with pytest.raises(ArgumentError) as caught:
-            robot.joint_trajectory(path_of_wrong_kind, [0.0, 1.0], q)
-        assert (caught.value.argument, caught.value.index) == ("path", "")
-    with pytest.raises(ArgumentError, check=with_fields(argument="path")):
-        robot.joint_trajectory(lambda t: PlatformMotion(POSE, np.zeros(3), np.zeros(6)), [0.0, 1.0], q)
-    for motion in (None, (POSE, np.zeros(6))):
-        with pytest.raises(ArgumentError, check=with_fields(argument="path")):
-            robot.joint_trajectory(lambda t, motion=motion: motion, [0.0, 1.0], q)
+    motions = PlatformMotion(POSE, np.zeros(3), np.zeros(6)), None, (POSE, np.zeros(6))
+    for wrong in (WAYPOINTS, lambda: None, lambda t, q: None, *(lambda t, motion=motion: motion for motion in motions)):
+        with pytest.raises(ArgumentError, check=with_fields(argument="path", index="")):
+            robot.joint_trajectory(wrong, [0.0, 1.0], q)
     away = PlatformPath([0.0, 1.0], spm.pose([POSE.translation, [0.0, 0.0, 9.0]], xyx=[[0.1, 0.2, 0.3]] * 2))
     with pytest.raises(ClosureError, match=r"At batch index \(\d+,\)"):
         robot.joint_trajectory(away, np.linspace(0.0, 1.0, 5), q)
@@ -156,8 +120,9 @@ def test_invalid_paths_and_trajectories_are_refused() -> None:
         robot.joint_trajectory(path, [0.0, 3.0], q)
     up = WAYPOINTS[0].translation + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.2]])
     beyond = PlatformPath([0.0, 1.0], spm.pose(up, rotation=np.stack([WAYPOINTS[0].rotation.as_matrix()] * 2)))
-    with pytest.raises(UnreachableError, match=r"LegLimits\(1.1, 1.5\), got r_b3 of 1.50\d+ m at time 0"):
+    with pytest.raises(UnreachableError, check=with_fields(argument="path")) as caught:
         robot.joint_trajectory(beyond, np.linspace(0.0, 1.0, 51), q)
+    assert caught.value.received.startswith("r_b3 of 1.50")
 
 
 def test_all_joints_of_a_platform_path() -> None:
@@ -227,13 +192,10 @@ def test_a_path_that_ends_at_a_fold_is_not_completed_in_another_mode() -> None:
     assert 0.55 < share <= 0.7265
 
 
-@pytest.mark.parametrize(
-    ("count", "seed", "parts"), [(25, 411, 100), pytest.param(250, 412, 1000, marks=pytest.mark.slow)]
-)
-def test_random_modes_arrive_where_fine_steps_lead(count: int, seed: int, parts: int) -> None:
-    """Paths from random modes, in one call and in `parts` steps; about 0.2 s a mode with a thousand of them."""
-    robot, rng, arrived, tried = chain(), np.random.default_rng(seed), 0, 0
-    while tried < count:
+def test_random_modes_arrive_where_fine_steps_lead() -> None:
+    """Paths from random modes, in one call and in a hundred steps."""
+    robot, rng, arrived, tried = chain(), np.random.default_rng(411), 0, 0
+    while tried < 25:
         begin = rng.uniform(0.5, 2.0, 6)
         end = begin + rng.normal(0.0, 0.1, 6)
         modes = spm.forward_displacement(PAPER, begin)
@@ -246,63 +208,41 @@ def test_random_modes_arrive_where_fine_steps_lead(count: int, seed: int, parts:
         except SpmError:
             continue
         # What arrives in one call arrives in fine steps, too, and in the same place.
-        fine = robot.forward_kinematics(begin + np.linspace(0.0, 1.0, parts + 1)[1:, None] * (end - begin), near=q)[-1]
+        fine = robot.forward_kinematics(begin + np.linspace(0.0, 1.0, 101)[1:, None] * (end - begin), near=q)[-1]
         assert np.abs(coarse - fine).max() < 1e-6
         arrived += 1
-    assert arrived >= 0.2 * count
+    assert arrived >= 5
 
 
 def test_targets_that_no_physical_mode_has_are_refused_or_nan() -> None:
     readings = np.array([[1.3] * 6, [1.2, 1.2, 1.2, 1.2, 1.2, 9.0]])
-    near = "Pass a closed q as near: the solution on the path from there need not be physical."
-    lengths = (
-        "readings: expected readings that the physical assembly mode can have, got [1.2, 1.2, 1.2, 1.2, 1.2, 9]. "
-        f"With these readings no configuration is reached from the home without a forward singularity. {near}"
-    )
     home, away = spm.pose([0.0, 0.0, 2.3], xyx=[0.0, 0.0, 0.0]), spm.pose([0.1, 0.2, 9.0], xyx=[0.1, 0.2, 0.3])
-    turn = ", ".join(f"{angle:.9g}" for angle in away.rotation.as_rotvec())
-    turned = "pose: expected poses that a physical branch has, got o at {} m, turned by the rotation vector [{}] rad. "
-    level = turned.format("[0, 0, 2.3]", "0, 0, 0") + "A level platform over the axis of the base"
-    high = turned.format("[0.1, 0.2, 9]", turn) + "Out of reach: no solution is real. For the nearest pose"
     forward, inverse = chain().forward_kinematics, chain().inverse_kinematics
-    for call, target, text in ((forward, readings[1], lengths), (inverse, home, level), (inverse, away, high)):
-        with pytest.raises(ArgumentError) as caught:
+    for call, target, argument, cause in (
+        (forward, readings[1], "readings", "With these readings no configuration is reached from the home"),
+        (inverse, home, "pose", "A level platform over the axis of the base"),
+        (inverse, away, "pose", "Out of reach: no solution is real. For the nearest pose"),
+    ):
+        with pytest.raises(ArgumentError, check=with_fields(argument=argument)) as caught:
             call(target)
-        assert str(caught.value).startswith(text)
-        assert str(caught.value).endswith(near)
+        assert caught.value.cause.startswith(cause)
+        assert "Pass a closed q as near" in caught.value.cause
     for call, targets in ((forward, readings), (inverse, np.stack([POSE.as_matrix(), away.as_matrix()]))):
         found = call(targets)
         assert np.array_equal(found[0], call(targets[0]))
         assert np.isnan(found[1]).all()
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_the_physical_branch_is_that_of_all_branches(name: str) -> None:
-    machine, robot = MACHINES[name], chain(name)
-    rng = np.random.default_rng(415)
-    readings = robot.readings(np.zeros(18)) * rng.uniform(0.98, 1.02, (20, 6))
+def test_the_physical_branch_is_that_of_all_branches() -> None:
+    machine, robot = MACHINES["as built"], chain("as built")
+    readings = robot.readings(np.zeros(18)) * np.random.default_rng(415).uniform(0.98, 1.02, (20, 6))
     poses = spm.forward_physical(machine, readings).pose
-    expected = robot.joint_values(spm.inverse_displacement(machine, poses).physical())
     together = robot.inverse_kinematics(poses)
-    assert np.array_equal(together, expected)
+    assert np.array_equal(together, robot.joint_values(spm.inverse_displacement(machine, poses).physical()))
     assert robot.inverse_kinematics(poses[:0]).shape == (0, 18)
     # The same by continuation from beside it.
-    near = robot.forward_kinematics(readings[7] + 1e-4 * machine.middle_side * rng.normal(size=6))
-    followed = robot.inverse_kinematics(poses[7], near)
+    followed = robot.inverse_kinematics(poses[7], robot.forward_kinematics(readings[7] + 1e-4))
     assert np.abs(np.exp(1j * followed) - np.exp(1j * together[7])).max() <= 1e-9
-
-
-def residuals(robot: Any, q: Array) -> list[float]:
-    """Largest gap after 0, 1, 2... steps, until closed."""
-    found = []
-    for steps in range(30):
-        try:
-            closed = close_loops(robot.state(q).kinematics, q, most=steps)
-        except ClosureError as error:
-            found.append(error.residual)
-        else:
-            return [*found, float(np.linalg.norm(robot.state(closed).closure_gap(), axis=1).max())]
-    raise AssertionError(found)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -320,21 +260,6 @@ def test_a_perturbed_q_is_closed(name: str) -> None:
         assert robot.state(found).configuration().closure_residual <= rounding(robot, q)
         # It goes to a point near by: to first order none is nearer, and q is one.
         assert np.linalg.norm((found - q - off) / units) <= 1.5 * np.linalg.norm(off / units)
-
-
-def test_convergence_is_quadratic() -> None:
-    robot, rng = chain(), np.random.default_rng(133)
-    for state in problems.in_leg_space(PAPER, 10, seed=134).configuration:
-        q = robot.joint_values(state) + 0.02 * rng.uniform(-1, 1, 18)
-        with pytest.raises(ClosureError) as caught:
-            close_loops(robot.state(q).kinematics, q, most=1)
-        assert caught.value.iterations == 1
-        logged = residuals(robot, q)
-        assert 3 <= len(logged) <= 7
-        assert logged[-1] <= rounding(robot, q)
-        for before, after in itertools.pairwise(logged):
-            # An error in q of gap/σ leaves a gap of its square; lengths are about a metre.
-            assert after <= 100 * before**2 + rounding(robot, q)
 
 
 def test_starts_that_do_not_converge() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import problems
 import pytest
 from error_fields import with_fields
-from multibody.chains import EPS, PAPER, chain, placed, random_q, rounding, six_branches
+from multibody.chains import EPS, PAPER, chain, placed, random_q, six_branches
 
 import spm_pin as spm
 from spm_pin.description import actuated_joints, urdf_text
@@ -26,24 +26,28 @@ from spm_pin.multibody.chain import ClosedChain  # noqa: E402
 HOME = np.zeros(18)
 
 
-@pytest.mark.parametrize("name", problems.MANIPULATORS)
-def test_round_trip_in_every_family(name: str) -> None:
+@pytest.mark.parametrize("name", ["paper", "millimetres"])
+@pytest.mark.parametrize("family", spm.machine.FAMILIES)
+def test_round_trip_in_every_family(name: str, family: str) -> None:
     robot = chain(name)
     slides, lower, upper = robot.leg_indices, robot.model.lowerPositionLimit, robot.model.upperPositionLimit
-    for family in spm.machine.FAMILIES:
-        for state in problems.random_branches(robot.machine, family, 50, seed=71).configuration:
-            q = robot.joint_values(state)
-            assert np.abs(robot.state(q).closure_gap()).max() <= 1e-13
-            assert (np.delete(lower, slides) <= np.delete(q, slides)).all()
-            assert (np.delete(q, slides) <= np.delete(upper, slides)).all()
-            found = robot.state(q).configuration()
-            # Ten joints lie between {B} and m, each with a rounding of a rotation and of a position.
-            rounding = 32 * EPS * (1.0 + robot.leg_lengths(q).max())
-            assert np.abs(found.pose.as_matrix() - state.pose.as_matrix()).max() <= rounding
-            assert np.abs(found.middle_joints - state.middle_joints).max() <= rounding
-            assert np.abs(robot.leg_lengths(q) - state.leg_lengths).max() <= rounding
-            assert np.abs(found.leg_lengths - state.leg_lengths).max() <= rounding
-            assert found.closure_residual <= rounding
+    states = problems.random_branches(robot.machine, family, 50, seed=71).configuration
+    q = robot.joint_values(states)
+    assert np.abs(robot.state(q).closure_gap()).max() <= 1e-13
+    others = np.setdiff1d(np.arange(18), slides)
+    assert (lower[others] <= q[:, others]).all()
+    assert (q[:, others] <= upper[others]).all()
+    found = robot.state(q).configuration()
+    # Ten joints lie between {B} and m, each with a rounding of a rotation and of a position.
+    rounding = 32 * EPS * (1.0 + robot.leg_lengths(q).max(axis=-1))
+    for ours, theirs in (
+        (found.pose.as_matrix(), states.pose.as_matrix()),
+        (found.middle_joints, states.middle_joints),
+        (robot.leg_lengths(q), states.leg_lengths),
+        (found.leg_lengths, states.leg_lengths),
+        (found.closure_residual, 0.0),
+    ):
+        assert (np.abs(ours - theirs).reshape(50, -1).max(axis=-1) <= rounding).all()
 
 
 def test_an_open_q_is_an_open_configuration() -> None:
@@ -76,7 +80,7 @@ def test_leg_lengths() -> None:
     assert np.allclose(robot.leg_lengths(q), lengths, atol=4 * EPS)
     passive = np.setdiff1d(np.arange(18), robot.leg_indices)
     assert (q[passive] == 0.1).all()
-    with pytest.raises(ArgumentError, match=r"legs of no negative length, got -0\.2 m in r_c1"):
+    with pytest.raises(ArgumentError, check=with_fields(argument="readings")):
         robot.with_readings(HOME, [1.1, 1.2, 1.3, -0.2, 1.5, -0.1])
 
 
@@ -84,27 +88,15 @@ def test_configurations_without_joint_values_are_refused() -> None:
     branches = spm.inverse_displacement(PAPER, six_branches()[0].pose)
     state = six_branches()[0]
     assert np.array_equal(np.isnan(chain().joint_values(branches.configurations)).all(axis=-1), ~branches.exists)
-    with pytest.raises(ArgumentError, match="expected a configuration that exists, got NaN"):
-        chain().joint_values(branches.configurations[~branches.exists][0])
-    with pytest.raises(ArgumentError, match=r"expected a Configuration, got SolutionSet\. .*\.physical\(\)"):
-        chain().joint_values(branches)
     torn = spm.Configuration(PAPER, state.pose, state.middle_joints + 1e-6 * PAPER.middle_side)
-    rounded = spm.Configuration(PAPER, state.pose, state.middle_joints.round(4))
-    for wrong, gap in ((rounded, r"\d\.\de-05"), (torn, r"\d\.\de-06")):
-        with pytest.raises(ArgumentError, match=f"expected a closed mechanism, got a closure residual of {gap} m"):
+    for wrong in (branches.configurations[~branches.exists][0], branches, torn):
+        with pytest.raises(ArgumentError, check=with_fields(argument="configuration")):
             chain().joint_values(wrong)
     for name in ("base_radius", "platform_radius", "middle_side"):
         other = replace(PAPER, **{name: 1.001 * getattr(PAPER, name)})
-        with pytest.raises(GeometryError, match=f"expected the {name} of the chain, "):
+        with pytest.raises(GeometryError, check=with_fields(argument="configuration")) as caught:
             chain().joint_values(spm.Configuration(other, state.pose, state.middle_joints))
-
-
-def test_legs_of_negative_length_are_refused() -> None:
-    """All other wrong vectors are those of `test_wrong_arguments`."""
-    robot = chain()
-    for call in (robot.leg_lengths, robot.project, robot.state):
-        with pytest.raises(ArgumentError, check=with_fields(argument="q")):
-            call(np.full(18, -2.0))
+        assert name in caught.value.expected
 
 
 def test_results_of_a_state_do_not_change_with_later_updates() -> None:
@@ -143,65 +135,20 @@ def test_arguments_are_not_changed() -> None:
 
 
 @cache
-def built(name: str, size: float) -> Any:
-    return ClosedChain.from_urdf(machine=problems.as_built(problems.MANIPULATORS[name], size)) if size else chain(name)
-
-
-def states(robot: Any, count: int, seed: int) -> spm.Configuration:
-    """Physical states of a machine, about where its nominal one has its random branches without torsion."""
-    nominal = robot.machine.nominal
-    start = problems.random_branches(nominal, "TT", 40 * count, seed).configuration
-    if nominal.limits is not None:
-        start = problems.in_leg_space(nominal, 4 * count, seed).configuration
-    # Away from inverse singularities and from legs of no length: readings of machines near them are no test.
-    far = (np.abs(spm.singularities(start).sigma[:, 2]) > 1e-2) & (
-        start.leg_lengths.min(axis=-1) > 0.1 * nominal.middle_side
-    )
-    found = spm.forward_physical(robot.machine, start.leg_lengths[far] + robot.machine.legs.offsets)
-    found = found[found.exists][:count]
-    assert len(found) >= count // 2
-    return found
-
-
-@pytest.mark.parametrize("size", [0.0, 1e-3, 5e-2])
-@pytest.mark.parametrize("name", problems.MANIPULATORS)
-def test_states_have_joint_values_to_which_their_readings_and_poses_lead(name: str, size: float) -> None:
-    robot = built(name, size)
-    state, side = states(robot, 20, seed=4), robot.machine.nominal.middle_side
-    q = robot.joint_values(state)
-    assert np.abs(robot.state(q).closure_gap()).max() <= rounding(robot, q)
-    np.testing.assert_allclose(robot.leg_lengths(q), state.leg_lengths, atol=1e-14 * side)
-    np.testing.assert_allclose(robot.readings(q), state.readings, atol=1e-14 * side)
-    back = robot.state(q).configuration()
-    assert back.machine == robot.machine
-    np.testing.assert_allclose(back.pose.as_matrix(), state.pose.as_matrix(), atol=1e-13 * max(side, 1.0))
-    np.testing.assert_allclose(back.middle_joints, state.middle_joints, atol=1e-13 * side)
-    np.testing.assert_allclose(back.leg_lengths, state.leg_lengths, atol=1e-13 * side)
-    found = robot.forward_kinematics(state.readings)
-    assert np.abs(robot.state(found).closure_gap()).max() <= rounding(robot, found)
-    np.testing.assert_allclose(found, q, atol=1e-9)
-    np.testing.assert_allclose(robot.leg_lengths(found), state.leg_lengths, atol=1e-13 * side)
-    # Readings a little away, from the joint values nearby, and back by the pose that they give.
-    change = 1e-3 * side * np.random.default_rng(5).uniform(-1.0, 1.0, 6)
-    for k in range(5):
-        moved = robot.forward_kinematics(state.readings[k] + change, near=q[k])
-        np.testing.assert_allclose(robot.readings(moved), state.readings[k] + change, atol=1e-13 * side)
-        assert np.abs(robot.state(moved).closure_gap()).max() <= 2.0 * rounding(robot, moved)
-        np.testing.assert_allclose(moved, robot.forward_kinematics(state.readings[k] + change), atol=1e-9)
-        back_there = robot.inverse_kinematics(state[k].pose, near=moved)
-        np.testing.assert_allclose(back_there, q[k], atol=1e-9)
-        changed = robot.with_readings(q[k], state.readings[k] + 1e-2 * change)
-        np.testing.assert_allclose(robot.leg_lengths(changed), state.leg_lengths[k] + 1e-2 * change, atol=1e-13 * side)
+def built() -> tuple[Any, spm.Configuration]:
+    machine = problems.as_built(PAPER, 1e-3)
+    readings = machine.legs.offsets + np.random.default_rng(4).uniform(1.15, 1.45, (3, 6))
+    return ClosedChain.from_urdf(machine=machine), spm.forward_physical(machine, readings)
 
 
 def test_offsets_change_readings_and_nothing_else() -> None:
-    plain = built("paper", 1e-3)
+    plain, state = built()
     machine = plain.machine
     shift = np.array([0.5, -0.05, 0.02, 0.0, 0.03, 0.01])
     shifted = ClosedChain.from_urdf(
         machine=replace(machine, legs=replace(machine.legs, offsets=machine.legs.offsets + shift))
     )
-    q = plain.joint_values(states(plain, 3, seed=16))
+    q = plain.joint_values(state)
     np.testing.assert_allclose(shifted.readings(q) - plain.readings(q), np.broadcast_to(shift, (3, 6)), atol=1e-15)
     np.testing.assert_array_equal(shifted.leg_lengths(q), plain.leg_lengths(q))
     np.testing.assert_allclose(shifted.forward_kinematics(plain.readings(q) + shift), q, atol=1e-12)
@@ -219,26 +166,25 @@ def test_files_and_geometries_that_do_not_belong_together_are_refused(tmp_path: 
         machine: (None, PAPER, *moved, replace(machine, limits=limited)),
         PAPER: (machine, *larger, replace(PAPER, limits=limited)),
     }
-    file, message = tmp_path / "robot.urdf", "The arguments machine and prefix are those the file was written for"
+    file = tmp_path / "robot.urdf"
     for written, machines in others.items():
         file.write_text(urdf_text(written), encoding="utf-8")
         for machine in machines:
-            with pytest.raises(DescriptionError, match=message):
+            with pytest.raises(DescriptionError, check=with_fields(argument=str(file))):
                 ClosedChain.from_urdf(file, machine)
 
 
 def test_states_of_other_machines_are_refused() -> None:
-    robot = built("paper", 1e-3)
-    state = states(robot, 2, seed=18)
-    nominal = chain().state(chain().joint_values(states(chain(), 1, seed=18))).configuration()
-    with pytest.raises(GeometryError, match=r"the r_b1.direction_1 of the chain, .* rad, got 0 rad"):
-        robot.joint_values(nominal)
-    with pytest.raises(GeometryError, match=r"the r_b1.direction_1 of the chain, 0 rad, got .* rad"):
-        chain().joint_values(state)
+    (robot, state), nominal = built(), six_branches()[0]
+    for own, wrong in ((robot, nominal), (chain(), state)):
+        with pytest.raises(GeometryError, check=with_fields(argument="configuration")) as caught:
+            own.joint_values(wrong)
+        assert "r_b1.direction_1" in caught.value.expected
     other = problems.as_built(PAPER, 1e-3)
     moved = replace(other, legs=replace(other.legs, offsets=other.legs.offsets + 2e-6 * (np.arange(6) == 4)))
-    with pytest.raises(GeometryError, match=r"the r_c2.offset of the chain, .* m, got .* m"):
+    with pytest.raises(GeometryError, check=with_fields(argument="configuration")) as caught:
         robot.joint_values(spm.Configuration(moved, state.pose, state.middle_joints))
+    assert "r_c2.offset" in caught.value.expected
     # Limits of the legs play no part.
     same = spm.Configuration(replace(other, limits=None), state.pose, state.middle_joints)
     np.testing.assert_array_equal(robot.joint_values(same), robot.joint_values(state))

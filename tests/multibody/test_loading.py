@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import copy
-import pickle
 import re
 from pathlib import Path
 
 import numpy as np
-import problems
 import pytest
-from multibody.chains import MACHINES, NAMES, PAPER, chain, placed, six_branches
+from multibody.chains import MACHINES, NAMES, chain, placed, six_branches
 
 import spm_pin as spm
 from spm_pin.description import urdf_text
-from spm_pin.description.source_files import ENTRY, URDF, description_file, read_closures
+from spm_pin.description.source_files import ENTRY, URDF, description_file
 from spm_pin.errors import DescriptionError
 
 pinocchio = pytest.importorskip("pinocchio")
@@ -22,18 +19,6 @@ pinocchio = pytest.importorskip("pinocchio")
 from spm_pin.multibody.chain import ClosedChain  # noqa: E402
 
 SHIPPED = description_file(URDF)
-
-
-def state_of(machine: spm.Manipulator) -> spm.Configuration:
-    return problems.random_branches(machine, "TF", 1, seed=91).configuration[0]
-
-
-def test_the_paper_s_robot_by_default() -> None:
-    robot = ClosedChain.from_urdf()
-    assert robot.machine == PAPER
-    assert robot.closures == read_closures()
-    assert robot.model.nq == robot.model.nv == 18
-    assert repr(robot).startswith("<ClosedChain: 18 joints, 4 closures, Manipulator(base_radius=0.69")
 
 
 @pytest.mark.parametrize(("name", "prefix"), [*((name, "") for name in NAMES), ("as built", "left_")])
@@ -44,6 +29,8 @@ def test_a_file_gives_the_chain_of_its_geometry(name: str, prefix: str, tmp_path
     robot = ClosedChain.from_urdf(path, machine, prefix=prefix)
     expected = ClosedChain.from_urdf(machine=machine, prefix=prefix) if prefix else chain(name)
     assert robot.machine == machine
+    assert all(name.startswith(prefix) for name in robot.joint_names)
+    assert robot.joint_indices(f"{prefix}leg_b2_hip") == chain(name).joint_indices("leg_b2_hip")
     ((state, q),) = placed(name, 1, seed=91)[:1]
     assert np.abs(robot.state(q).closure_gap()).max() <= 1e-13
     assert np.allclose(robot.state(q).configuration().middle_joints, state.middle_joints, atol=1e-13)
@@ -55,17 +42,7 @@ def test_a_file_gives_the_chain_of_its_geometry(name: str, prefix: str, tmp_path
         assert np.allclose(getattr(robot.model, limit), getattr(expected.model, limit), rtol=1e-14)
     for shapes in ("visual_model", "collision_model"):
         assert getattr(robot, shapes).ngeoms == getattr(expected, shapes).ngeoms
-
-
-def test_a_prefix_is_on_every_name() -> None:
-    robot = ClosedChain.from_urdf(prefix="left_")
-    assert all(c.frame_a.startswith("left_") and c.frame_b.startswith("left_") for c in robot.closures)
-    bare = chain()
-    assert [f"left_{name}" for name in bare.joint_names] == list(robot.joint_names)
-    state = six_branches()[0]
-    assert np.allclose(robot.joint_values(state), bare.joint_values(state), atol=1e-15)
-    assert robot.joint_indices("left_leg_b2_hip") == bare.joint_indices("leg_b2_hip")
-    assert len(robot.collision_model.collisionPairs) == len(bare.collision_model.collisionPairs)
+    assert len(robot.collision_model.collisionPairs) == len(chain(name).collision_model.collisionPairs)
 
 
 def test_inertias_and_limits_may_differ(tmp_path: Path) -> None:
@@ -82,52 +59,44 @@ def test_inertias_and_limits_may_differ(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "message"),
+    ("old", "new", "received"),
     [
         ('name="leg_b2_hip"', 'name="hip_b2"', "leg_b2_hip missing, hip_b2 foreign"),
         ('<joint name="leg_b2_hip" type="revolute">', '<joint name="leg_b2_hip" type="fixed">', "leg_b2_hip missing"),
         ('<joint name="leg_b2_hip" type="revolute">', '<joint name="leg_b2_hip" type="continuous">', "nq = 19"),
         ('"middle_b3"', '"corner_b3"', "middle_b3 missing"),
-        (
-            '<axis xyz="0 1 0"/>',
-            '<axis xyz="0 -1 0"/>',
-            "m off where all joints are turned. Another joint axis, order or zero",
-        ),
-        (
-            '<axis xyz="0 0 1"/>',
-            '<axis xyz="0 0 -1"/>',
-            "m off where all joints are turned. Another joint axis, order or zero",
-        ),
+        ('<axis xyz="0 1 0"/>', '<axis xyz="0 -1 0"/>', "m off where all joints are turned"),
+        ('<axis xyz="0 0 1"/>', '<axis xyz="0 0 -1"/>', "m off where all joints are turned"),
     ],
     ids=["renamed joint", "locked joint", "continuous joint", "renamed link", "turned axis", "reversed slide"],
 )
-def test_other_trees_are_refused(old: str, new: str, message: str, tmp_path: Path) -> None:
+def test_other_trees_are_refused(old: str, new: str, received: str, tmp_path: Path) -> None:
     text = SHIPPED.read_text(encoding="utf-8")
     assert old in text
     path = tmp_path / "robot.urdf"
     path.write_text(text.replace(old, new), encoding="utf-8")
-    with pytest.raises(DescriptionError, match=message):
+    with pytest.raises(DescriptionError) as caught:
         ClosedChain.from_urdf(path)
+    assert received in caught.value.received
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "message"),
+    ("old", "new", "expected"),
     [
-        (r'<mass value="[^"]*"', '<mass value="-5"', "a mass from 0 to 1e[+]12 kg, got -5"),
-        (r'<mass value="[^"]*"', '<mass value="1e300"', "a mass from 0 to 1e[+]12 kg, got 1e[+]300"),
-        (r'<mass value="[^"]*"', '<mass value="nan"', "a mass from 0 to 1e[+]12 kg, got nan"),
-        (r'<mass value="[^"]*"', '<mass value="inf"', "a mass from 0 to 1e[+]12 kg, got inf"),
+        *((r'<mass value="[^"]*"', f'<mass value="{mass}"', "a mass from 0") for mass in ("-5", "1e300", "nan", "inf")),
         ('ixx="', 'ixx="-', "moments of inertia of which none is negative"),
-        ('<joint name="base_a1_mount"', '<joint name="base"', "names of joints that no link has, got 'base'"),
+        ('<joint name="base_a1_mount"', '<joint name="base"', "names of joints that no link has"),
     ],
 )
-def test_impossible_inertias_and_names(old: str, new: str, message: str, tmp_path: Path) -> None:
+def test_impossible_inertias_and_names(old: str, new: str, expected: str, tmp_path: Path) -> None:
     path = tmp_path / "robot.urdf"
     text, count = re.subn(old, new, SHIPPED.read_text(encoding="utf-8"), count=1)
     assert count == 1
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(DescriptionError, match=rf"robot\.urdf(, link base)?: expected {message}"):
+    with pytest.raises(DescriptionError) as caught:
         ClosedChain.from_urdf(path)
+    assert caught.value.argument.startswith(str(path))
+    assert caught.value.expected.startswith(expected)
 
 
 def test_files_that_are_no_urdf(tmp_path: Path) -> None:
@@ -139,17 +108,6 @@ def test_files_that_are_no_urdf(tmp_path: Path) -> None:
         DescriptionError, match=r"got left_ball_b1_x, left_ball_b1_y, left_ball_b1_z, … missing, ball_b1_x, .* foreign"
     ):
         ClosedChain.from_urdf(SHIPPED, prefix="left_")
-
-
-def test_copies_and_pickles() -> None:
-    robot = ClosedChain.from_urdf(machine=problems.MANIPULATORS["wide base"], prefix="left_")
-    state = state_of(robot.machine)
-    q = robot.joint_values(state)
-    for other in (copy.deepcopy(robot), pickle.loads(pickle.dumps(robot))):
-        assert other.machine == robot.machine
-        assert other.joint_names == robot.joint_names
-        assert np.array_equal(other.joint_values(state), q)
-        assert np.array_equal(other.state(q).inverse_jacobian(), robot.state(q).inverse_jacobian())
 
 
 def test_shapes_and_the_wrapper() -> None:

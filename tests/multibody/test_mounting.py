@@ -49,7 +49,7 @@ def state(both: Any, name: str, seed: int) -> tuple[Array, Array]:
     return both.join(q, machine_q), both.join_velocities(0.3 * rng.normal(size=model.nv), rates)
 
 
-CASES = [("ur5", "carried"), ("ur5", "carries"), ("kinova", "carried"), ("panda", "carried")]
+CASES = [("ur5", "carries"), ("kinova", "carried"), ("panda", "carried")]
 
 
 @pytest.mark.parametrize(("name", "way"), CASES)
@@ -61,9 +61,6 @@ def test_closed_wherever_the_arm_is(name: str, way: str) -> None:
     assert np.abs(both.state(q).constraint_jacobian() @ v).max() <= 1e-14
     data = both.model.createData()
     pinocchio.framesForwardKinematics(both.model, data, q)
-    for closure in small().closures:
-        a, b = (data.oMf[both.model.getFrameId(frame)].translation for frame in (closure.frame_a, closure.frame_b))
-        assert np.linalg.norm(a - b) <= 1e-14
     # Each robot is as it is by itself.
     other, machine_q = both.split(q)
     alone = small().state(machine_q).configuration()
@@ -111,7 +108,6 @@ def test_batches_states_joining_and_wrapping() -> None:
     forces = np.random.default_rng(506).normal(size=12)
     together = both.state(q, v).forward_dynamics(forces)
     assert np.array_equal(together[1], both.state(q[1], v[1]).forward_dynamics(forces))
-    assert both.state(q, v).energy().kinetic.shape == (2,)
     wrapper = both.robot_wrapper()
     assert wrapper.nq == 24
     shapes = arm("ur5").visual_model.ngeoms, small().visual_model.ngeoms
@@ -119,42 +115,31 @@ def test_batches_states_joining_and_wrapping() -> None:
     assert small().carrying(arm("ur5").model).robot_wrapper().visual_model is None
     assert "ur5, 24 degrees of freedom" in repr(both)
     assert sorted([*both.chain_indices, *both.other_indices]) == list(range(24))
-    here = both.state(q[0], v[0])
-    a = here.forward_dynamics(forces)
-    assert np.array_equal(a, together[0])
-    assert np.array_equal(here.inverse_dynamics(a), both.state(q[0], v[0]).inverse_dynamics(a))
-    assert here.energy() == both.state(q[0], v[0]).energy()
-    assert np.array_equal(here.constraint_jacobian(), both.state(q[0]).constraint_jacobian())
-    with pytest.raises(ArgumentError, match="legs of no negative length"):
+    with pytest.raises(ArgumentError, check=with_fields(argument="q")):
         both.state(both.join(np.zeros(6), np.full(18, -1.0))).closure_gap()
 
 
 def test_invalid_mountings_are_refused() -> None:
-    robot = arm("ur5")
-    with pytest.raises(ArgumentError, match=r"names that the chain does not have, got base\. Give the chain a prefix"):
-        ClosedChain.from_urdf(machine=SMALL).mounted_on(robot, "tool0")
-    with pytest.raises(ArgumentError, check=with_fields(argument="frame")):
-        small().mounted_on(robot, "tool1")
-    with pytest.raises(ArgumentError, check=with_fields(argument="frame")):
-        small().carrying(robot, "tool0")
-    with pytest.raises(ArgumentError, check=with_fields(argument="placement")):
-        small().mounted_on(robot, "tool0", np.eye(4))
-    with pytest.raises(ArgumentError, match=r"got ClosedChain\. Its loops would be lost"):
-        small().mounted_on(ClosedChain.from_urdf(prefix="b_"), "b_base")
-    both = mounted("ur5", "carried")
+    robot, both, mount = arm("ur5"), mounted("ur5", "carried"), small().mounted_on
     q, v = state(both, "ur5", seed=505)
+    for argument, call, *arguments in (
+        ("other", ClosedChain.from_urdf(machine=SMALL).mounted_on, robot, "tool0"),
+        ("frame", mount, robot, "tool1"),
+        ("frame", small().carrying, robot, "tool0"),
+        ("placement", mount, robot, "tool0", np.eye(4)),
+        ("other", mount, ClosedChain.from_urdf(prefix="b_"), "b_base"),
+        ("v", both.state(q, v + 1e-3).inverse_dynamics, np.zeros(24)),
+        ("forces", both.state(q, v).forward_dynamics, np.zeros(6)),
+        ("chain", both.join, np.zeros((2, 6)), np.zeros((3, 18))),
+    ):
+        with pytest.raises(ArgumentError, check=with_fields(argument=argument)):
+            call(*arguments)
     with pytest.raises(ClosureError):
         both.state(q + 1e-3, v).forward_dynamics(np.zeros(12))
-    with pytest.raises(ArgumentError, check=with_fields(argument="v")):
-        both.state(q, v + 1e-3).inverse_dynamics(np.zeros(24))
-    with pytest.raises(ArgumentError, check=with_fields(argument="forces")):
-        both.state(q, v).forward_dynamics(np.zeros(6))
-    with pytest.raises(ArgumentError, check=with_fields(argument="chain")):
-        both.join(np.zeros((2, 6)), np.zeros((3, 18)))
 
 
 @pytest.mark.parametrize(("name", "way"), CASES)
-@pytest.mark.parametrize("speed", [1e-3, 1.0, 30.0])
+@pytest.mark.parametrize("speed", [1e-3, 30.0])
 def test_the_arm_moves_alone_with_the_legs_held(name: str, way: str, speed: float) -> None:
     """Both ends of a gap have the arm's speed: rounding of their difference is no velocity that opens the loops."""
     both = mounted(name, way)
@@ -164,5 +149,5 @@ def test_the_arm_moves_alone_with_the_legs_held(name: str, way: str, speed: floa
     a = both.state(q, v).forward_dynamics(np.zeros(both.actuated_indices.size))
     assert np.abs(both.state(q, v).inverse_dynamics(a)).max() <= 1e-9 * max(1.0, np.abs(a).max())
     v[both.chain_indices[3]] = 1e-3 * speed
-    with pytest.raises(ArgumentError, match="keep the loops closed"):
+    with pytest.raises(ArgumentError, check=with_fields(argument="v")):
         both.state(q, v).inverse_dynamics(a)

@@ -237,9 +237,3 @@ def test_rounded_numbers_are_read_with_a_tolerance() -> None:
     text = TRIPODS["RPS"].text("skew slide")
     found = read_stage(ClosedChain.from_mjcf(text), tolerance=0.02)
     assert found.stage.is_nominal
-
-
-def test_a_stage_is_no_chain() -> None:
-    with pytest.raises(ArgumentError) as error:
-        read_stage(spm.Stage(0.7, 0.46))  # type: ignore[arg-type]
-    assert error.value.argument == "chain"

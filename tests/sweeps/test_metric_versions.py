@@ -11,6 +11,7 @@ import cloudpickle
 import numpy as np
 import pytest
 import stores
+from error_fields import with_fields
 
 import spm_pin as spm
 from spm_pin.sweeps import METRICS, Metric, Points, metric
@@ -22,44 +23,32 @@ def from_a_global(points: Points) -> Any:
     return FACTORS["factor"] * points.coordinates[:, 0]
 
 
-def test_values_of_another_function_are_never_returned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    store = tmp_path / "map.zarr"
-
-    def swept(version: int | None) -> np.ndarray:
-        mine = Metric("mine", "m", "x scaled", from_a_global, version=version)
-        results = stores.small(store, metrics=[mine]).load()
-        return np.asarray((results.mine / results.x).mean())
-
-    assert swept(None) == pytest.approx(1.0)
-    before = stores.contents(store)
-    monkeypatch.setitem(FACTORS, "factor", 3.0)
-    # Nothing tells the two functions apart: only a stated version may continue a store, complete or not.
-    for version in (None, 1):
-        with pytest.raises(spm.ArgumentError, match=r"mine without one.*version=|version is null in the store and 1"):
-            swept(version)
-    stores.records(store)[0].unlink()
-    with pytest.raises(spm.ArgumentError, match="mine without one"):
-        swept(None)
-    assert stores.contents(store).keys() == before.keys() - {"sweep/done/c.0.0.0.0"}
-
-
-def test_a_stated_version_continues_its_store_and_no_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("own", "others"), [(None, {None: "metrics", 1: "store"}), (1, dict.fromkeys((2, "1", None, ""), "store"))]
+)
+def test_values_of_another_function_are_never_returned(
+    own: int | None, others: dict[Any, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing tells two functions apart: only a stated version may continue a store, complete or not."""
     store = tmp_path / "map.zarr"
 
     def swept(version: int | str | None) -> Any:
         return stores.small(store, metrics=[Metric("mine", "m", "", from_a_global, version=version)]).mine.values
 
-    first = swept(1)
-    stores.records(store)[2].unlink()
-    before = stores.contents(store)
+    first = swept(own)
     monkeypatch.setitem(FACTORS, "factor", 3.0)
-    for version in (2, "1", None, ""):
-        with pytest.raises(spm.ArgumentError, match=r"version is 1 in the store and .* in this sweep"):
-            swept(version)
-    assert stores.contents(store) == before
-    monkeypatch.setitem(FACTORS, "factor", 1.0)
-    np.testing.assert_array_equal(swept(1), first)
-    assert len(stores.records(store)) == 7
+    for is_complete in (True, False):
+        if not is_complete:
+            stores.records(store)[2].unlink()
+        before = stores.contents(store)
+        for version, argument in others.items():
+            with pytest.raises(spm.ArgumentError, check=with_fields(argument=argument)):
+                swept(version)
+        assert stores.contents(store) == before
+    if own:
+        monkeypatch.setitem(FACTORS, "factor", 1.0)
+        np.testing.assert_array_equal(swept(own), first)
+        assert len(stores.records(store)) == 7
 
 
 def test_a_changed_copy_of_a_package_metric_is_a_metric_of_ones_own(tmp_path: Path) -> None:

@@ -7,7 +7,6 @@ import dataclasses
 import numpy as np
 import pytest
 from problems import PAPER_TILTS, singular_state
-from scipy.optimize import linprog
 
 import spm_pin as spm
 from spm_pin.machine.branch_of_state import BRANCHES
@@ -39,56 +38,6 @@ def points(request: pytest.FixtureRequest) -> Points:
     return Points(MACHINE, space, mixed_poses(120) if space == "pose" else legs(60, low=1.0, high=1.6))
 
 
-@pytest.mark.parametrize("name", METRICS)
-@pytest.mark.parametrize("machine", [MACHINE, BUILT], ids=["drawn", "as built"])
-def test_every_metric_has_a_value_where_it_says(points: Points, machine: spm.Manipulator, name: str) -> None:
-    mine, points = METRICS[name], Points(machine, points.space, points.coordinates)
-    values = mine.evaluate(points)
-    assert values.shape == (len(points),)
-    assert values.dtype == mine.dtype
-    assert 0 < np.count_nonzero(points.reachable) < len(points)
-    if values.dtype.kind == "f" and name != "leg_margin":
-        np.testing.assert_array_equal(np.isfinite(values), points.reachable)
-    assert not (values == mine.not_computed).any()
-
-
-@pytest.mark.parametrize("space", ["pose", "legs"])
-@pytest.mark.parametrize("machine", [MACHINE, BUILT], ids=["drawn", "as built"])
-def test_metrics_are_those_of_direct_calls(machine: spm.Manipulator, space: Space) -> None:
-    coordinates = mixed_poses(120) if space == "pose" else legs(40, low=1.05, high=1.55)
-    points, accuracy = Points(machine, space, coordinates), 1e-12 if machine is MACHINE else 1e-9
-    if space == "pose":
-        expected = spm.inverse_displacement(machine, spm.pose(coordinates[:, :3], xyx=coordinates[:, 3:]))
-        np.testing.assert_array_equal(METRICS["branches"].evaluate(points), expected.count)
-        np.testing.assert_array_equal(METRICS["branches_within"].evaluate(points), expected.within().count)
-        states = expected.within().physical()
-    else:
-        states = spm.forward_physical(machine, coordinates)
-    exists = states.exists & machine.limits.contains(states.readings)  # type: ignore[union-attr]
-    reached = states[exists]
-    assert 0 < exists.sum() < len(points)
-    np.testing.assert_array_equal(METRICS["reachable"].evaluate(points), exists)
-    np.testing.assert_array_equal(points.physical.exists, exists)
-    np.testing.assert_allclose(points.reached.middle_joints, reached.middle_joints, rtol=accuracy, atol=accuracy)
-    np.testing.assert_allclose(points.reached.readings, reached.readings, atol=1e-9)
-    # The offsets of the encoders make the two differ by millimetres.
-    assert (np.abs(points.reached.readings - points.reached.leg_lengths).max() > 1e-3) == (machine is BUILT)
-    for axis, values in zip("xyz", reached.translation.T, strict=True):
-        found = METRICS[f"o_{axis}"].evaluate(points)[exists]
-        np.testing.assert_allclose(found, values, rtol=0, atol=0 if space == "pose" else accuracy)
-    margin = METRICS["leg_margin"].evaluate(points)
-    np.testing.assert_allclose(margin[exists], machine.limits.margin(reached.readings), atol=1e-9)  # type: ignore[union-attr]
-    for length in (None, 0.5):
-        # J_f of (v, Lω)
-        scale = machine.platform_radius if length is None else length
-        sizes = np.linalg.svd(spm.inverse_jacobian(reached) / np.repeat([1.0, scale], 3), compute_uv=False)
-        values = METRICS["conditioning"](length=length).evaluate(points)[exists]
-        np.testing.assert_allclose(values, sizes[:, -1] / sizes[:, 0], rtol=1e-8 if machine is MACHINE else 1e-6)
-        means = np.exp(-2.0 * np.log(sizes).mean(axis=-1)), (sizes**-2).mean(axis=-1)
-        values = METRICS["isotropy"](length=length).evaluate(points)[exists]
-        np.testing.assert_allclose(values, means[0] / means[1], rtol=1e-6)
-
-
 def test_the_branch_is_the_machines(points: Points) -> None:
     numbers = METRICS["branch"].evaluate(points)
     flags = METRICS["branch"].flags
@@ -97,74 +46,6 @@ def test_the_branch_is_the_machines(points: Points) -> None:
     there = np.flatnonzero(points.reachable)
     np.testing.assert_allclose(
         points.solutions.leg_lengths[there, numbers[there]], points.physical.leg_lengths[there], atol=1e-9
-    )
-
-
-def test_leg_lengths_and_the_pose_they_make_have_the_same_metrics() -> None:
-    lengths = legs(40)
-    by_legs = Points(MACHINE, "legs", lengths)
-    state = spm.forward_physical(MACHINE, lengths)
-    poses = np.concatenate([state.translation, state.pose.rotation.as_euler("XYX")], axis=-1)
-    by_pose = Points(MACHINE, "pose", poses)
-    # The few poses that two machines can be in are left out.
-    same = ~by_pose.solutions.within().ambiguous
-    assert same.sum() > 30
-    for mine in METRICS.values():
-        np.testing.assert_allclose(
-            mine.evaluate(by_legs)[same], mine.evaluate(by_pose)[same], rtol=1e-6, atol=1e-8, err_msg=mine.name
-        )
-
-
-def test_assembly_modes_are_counted_as_the_solver_does() -> None:
-    lengths = legs(70)
-    expected = spm.forward_displacement(MACHINE, lengths).count
-    np.testing.assert_array_equal(METRICS["assembly_modes"].evaluate(Points(MACHINE, "legs", lengths)), expected)
-
-
-def test_conditioning_does_not_depend_on_the_size_of_the_machine() -> None:
-    small = spm.Manipulator(MACHINE.base_radius / 50, MACHINE.platform_radius / 50, MACHINE.middle_side / 50)
-    lengths = legs(20)
-    for name in ("conditioning", "isotropy", "forward_distance", "inverse_distance", "det_structure", "payload"):
-        large = METRICS[name].evaluate(Points(MACHINE, "legs", lengths))
-        np.testing.assert_allclose(
-            METRICS[name].evaluate(Points(small, "legs", lengths / 50)), large, rtol=1e-9, err_msg=name
-        )
-
-
-def test_payload_is_the_most_that_leg_forces_allow_in_any_direction() -> None:
-    points = Points(MACHINE, "legs", legs(8))
-    value = METRICS["payload"](push=900.0, pull=400.0).evaluate(points)
-    directions = np.random.default_rng(1).normal(size=(20_000, 3))
-    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
-    wrenches = np.concatenate([directions, np.zeros_like(directions)], axis=-1)
-    for k in range(len(points)):
-        forces = spm.leg_forces(points.physical[k], wrenches)
-        held = 1.0 / np.maximum(forces / 900.0, -forces / 400.0).max(axis=-1)
-        assert value[k] <= held.min() * (1 + 1e-9)
-        assert value[k] == pytest.approx(held.min(), rel=5e-3)
-
-
-def test_payload_downwards_solves_a_linear_programme() -> None:
-    points = Points(MACHINE, "legs", legs(8, seed=3))
-    value = METRICS["payload_down"](push=900.0, pull=400.0).evaluate(points)
-    for k in range(len(points)):
-        # Largest f with -400 <= f a <= 900 for the leg forces a under one newton along -Z.
-        unit = spm.leg_forces(points.physical[k], [0, 0, -1, 0, 0, 0])
-        bounds = np.concatenate([np.full(6, 900.0), np.full(6, 400.0)])
-        found = linprog([-1.0], A_ub=np.concatenate([unit, -unit])[:, None], b_ub=bounds, bounds=(0, None))
-        assert value[k] == pytest.approx(found.x[0], rel=1e-9)
-    assert (METRICS["payload"](push=400.0).evaluate(points) <= value).all()
-
-
-def test_stiffness_is_that_of_springs_in_the_legs() -> None:
-    points = Points(MACHINE, "legs", legs(8))
-    jacobians = spm.inverse_jacobian(points.physical)
-    compliance = np.linalg.inv(2e7 * jacobians.swapaxes(-1, -2) @ jacobians)[:, :3, :3]
-    expected = 1.0 / np.linalg.eigvalsh(compliance)[:, -1]
-    np.testing.assert_allclose(METRICS["least_stiffness"](leg_stiffness=2e7).evaluate(points), expected, rtol=1e-7)
-    weakest = spm.kinematics.principal_stiffness(points.physical, 2e7).rotational[:, 0]
-    np.testing.assert_allclose(
-        METRICS["least_rotational_stiffness"](leg_stiffness=2e7).evaluate(points), weakest, rtol=1e-7
     )
 
 

@@ -7,7 +7,7 @@ from math import prod
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import kstest, qmc
 
@@ -28,6 +28,7 @@ def all_points(domain: Domain, limit: int) -> np.ndarray:
     return points
 
 
+@settings(max_examples=30)
 @given(counts=lengths, limit=st.integers(1, 700))
 def test_chunks_make_up_the_lattice(counts: list[int], limit: int) -> None:
     ranges = [(float(k), k + 1.0, count) for k, count in enumerate(counts, start=1)]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import os
-import random
 import resource
 import signal
 import subprocess
@@ -38,15 +37,19 @@ from spm_pin.sweeps import (
 EVERYTHING = tuple(name for name in METRICS if name != "assembly_modes")
 
 
-def run_long(path: Path, workers: int, slices: int = 60, chunk: int = 2000, **options: Any) -> Any:
+def run_long(path: Path, workers: int, slices: int) -> Any:
     """Run a sweep of `slices` chunks with many metrics."""
     domain = pose_grid((0.3, 0.5, slices), (-0.2, -0.1, 20), (2.4, 2.6, 20), xyx=[0.01, (0.28, 0.36, 5), 0.1])
-    return run_sweep(stores.MACHINE, domain, EVERYTHING, path, workers=workers, chunk=chunk, **options)
+    return run_sweep(stores.MACHINE, domain, EVERYTHING, path, workers=workers, chunk=2000)
 
 
-def local_cluster(count: int) -> LocalCluster:
+def local_cluster(count: int, processes: bool = True) -> LocalCluster:
     return LocalCluster(
-        n_workers=count, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=logging.CRITICAL
+        n_workers=count,
+        threads_per_worker=1,
+        processes=processes,
+        dashboard_address="127.0.0.1:0",
+        silence_logs=logging.CRITICAL,
     )
 
 
@@ -56,14 +59,14 @@ def cluster() -> Iterator[LocalCluster]:
         yield cluster
 
 
-def start(path: Path, slices: int, progress: str = "None") -> subprocess.Popen[str]:
-    """Run a long sweep with two workers in a process group of its own, with a progress in Python."""
+def start(path: Path, slices: int) -> subprocess.Popen[str]:
+    """Run a long sweep with two workers in a process group of its own."""
     code = (
         "import os, pathlib, signal, sys\n"
         "sys.path[:0] = sys.argv[2:4]\n"
         "from test_sweep_workers import run_long\n"
         "if __name__ == '__main__':\n"
-        f"    run_long(pathlib.Path(sys.argv[1]), workers=2, slices={slices}, progress={progress})\n"
+        f"    run_long(pathlib.Path(sys.argv[1]), workers=2, slices={slices})\n"
     )
     script = path.with_name("script.py")
     script.write_text(code)
@@ -90,65 +93,47 @@ def test_several_processes_write_the_same_bytes_as_one(tmp_path: Path, undisturb
     assert counted == [(90 * k, 630) for k in range(8)]
 
 
-def test_a_sweep_killed_at_once_goes_on_without_loss(tmp_path: Path) -> None:
-    whole, killed = tmp_path / "whole.zarr", tmp_path / "killed.zarr"
-    run_long(whole, workers=1, slices=12)
-    # The group kills itself: from outside it could be done before the second record is seen.
-    with start(killed, slices=12, progress="lambda done, _: done > 2000 and os.killpg(0, signal.SIGKILL)") as process:
-        errors = process.communicate()[1]
-    assert process.returncode == -signal.SIGKILL, errors
+KILLED = """
+import os, pathlib, signal, sys
+sys.path.insert(0, sys.argv[2])
+import stores
+stores.small(pathlib.Path(sys.argv[1]), progress=lambda done, _: done > 200 and os.kill(os.getpid(), signal.SIGKILL))
+"""
+
+
+def test_a_sweep_that_is_killed_goes_on_without_loss(tmp_path: Path, undisturbed: Path) -> None:
+    killed = tmp_path / "map.zarr"
+    tests = str(Path(__file__).parents[1])
+    done = subprocess.run([sys.executable, "-c", KILLED, str(killed), tests], capture_output=True, text=True)
+    assert done.returncode == -signal.SIGKILL, done.stderr
     kept = times(killed)
-    assert 2 <= len(kept) < 12
-    assert sweep_status(killed).done == len(kept)
+    assert sweep_status(killed).done == len(kept) == 3
     resume_sweep(killed, workers=1)
     assert kept.items() <= times(killed).items()
-    assert contents(killed) == contents(whole)
+    assert contents(killed) == contents(undisturbed)
 
 
 @pytest.mark.slow
-def test_a_sweep_killed_five_times_ends_with_the_store_of_an_undisturbed_run(tmp_path: Path) -> None:
-    rng = random.Random(0)
-    slices = 100
+def test_a_sweep_of_several_processes_killed_twice_ends_with_the_store_of_an_undisturbed_run(tmp_path: Path) -> None:
+    slices, done = 24, 0
     whole, killed = tmp_path / "whole.zarr", tmp_path / "killed.zarr"
     run_long(whole, workers=2, slices=slices)
-    kills, done = 0, 0
-    while kills < 5:
+    # First all processes, then only the one that drives; its workers have to notice.
+    for kill in (os.killpg, os.kill):
         with start(killed, slices) as process:
-            if kills % 3 == 2:
-                # At any moment, also while the store is made or looked at.
-                time.sleep(rng.uniform(0.2, 4.0))
-            else:
-                wait_for_records(killed, done + 1, process)
-                time.sleep(rng.uniform(0.0, 0.4))
+            wait_for_records(killed, done + 1, process)
+            time.sleep(0.2)
             assert process.poll() is None, process.communicate()
-            # Every other time only the process that drives; its workers have to notice.
-            (os.kill if kills % 2 else os.killpg)(process.pid, signal.SIGKILL)
+            kill(process.pid, signal.SIGKILL)
             process.wait()
         before = times(killed)
-        kills += 1
-        assert len(before) >= done
+        assert done < len(before) < slices
         done = len(before)
-    assert done < slices
     with start(killed, slices) as process:
         errors = process.communicate()[1]
     assert (process.returncode, errors) == (0, "")
     assert before.items() <= times(killed).items()
     assert contents(killed) == contents(whole)
-
-
-def test_a_worker_that_is_killed_costs_nothing(tmp_path: Path, undisturbed: Path, cluster: LocalCluster) -> None:
-    with Client(cluster, set_as_default=False) as client:
-        victims = list(client.run(os.getpid).values())
-    path = tmp_path / "map.zarr"
-
-    def progress(done: int, total: int) -> None:
-        if done and victims:
-            os.kill(victims.pop(), signal.SIGKILL)
-            victims.clear()
-
-    small(path, workers=None, scheduler=cluster.scheduler_address, progress=progress)
-    assert victims == []
-    assert contents(path) == contents(undisturbed)
 
 
 def test_a_client_is_given_all_chunks_in_parts_and_left_open(
@@ -161,11 +146,16 @@ def test_a_client_is_given_all_chunks_in_parts_and_left_open(
     assert contents(tmp_path / "map.zarr") == contents(undisturbed)
 
 
-def test_user_metric_is_sent_to_workers(tmp_path: Path, cluster: LocalCluster) -> None:
-    shift = 2.0
+def test_metrics_of_users_are_sent_to_workers_and_their_errors_back(tmp_path: Path, cluster: LocalCluster) -> None:
+    def fragile(points: Points) -> np.ndarray:
+        raise ZeroDivisionError("of my own")
+
+    shift, options = 2.0, {"workers": None, "scheduler": cluster.scheduler_address}
     mine = Metric("mine", "m", "x shifted", lambda points: points.coordinates[:, 0] + shift)
-    found = small(tmp_path / "map.zarr", metrics=[mine], workers=None, scheduler=cluster.scheduler_address)
+    found = small(tmp_path / "map.zarr", metrics=[mine], **options)
     assert (found.mine == found.x + 2).all()
+    with pytest.raises(ZeroDivisionError, match="of my own"):
+        small(tmp_path / "other.zarr", metrics=[Metric("fragile", "m", "", fragile)], **options)
 
 
 @pytest.mark.slow
@@ -181,15 +171,6 @@ def test_workers_that_die_again_and_again_end_the_sweep(tmp_path: Path) -> None:
     with dask.config.set({"distributed.scheduler.allowed-failures": 0}), refused as error:
         small(path, metrics=[mine], workers=2)
     assert error.value.done == len(records(path)) < 7
-
-
-def test_error_of_a_worker_is_raised_by_the_caller(tmp_path: Path, cluster: LocalCluster) -> None:
-    def fragile(points: Points) -> np.ndarray:
-        raise ZeroDivisionError("of my own")
-
-    mine = Metric("fragile", "m", "", fragile)
-    with pytest.raises(ZeroDivisionError, match="of my own"):
-        small(tmp_path / "map.zarr", metrics=[mine], workers=None, scheduler=cluster.scheduler_address)
 
 
 def limit_files(size: int) -> None:
@@ -208,9 +189,24 @@ def test_a_disk_that_fails_the_workers(tmp_path: Path, undisturbed: Path, cluste
     assert contents(path) == contents(undisturbed)
 
 
+def test_a_worker_that_is_killed_costs_nothing(tmp_path: Path, undisturbed: Path, cluster: LocalCluster) -> None:
+    with Client(cluster, set_as_default=False) as client:
+        victims = list(client.run(os.getpid).values())
+    path = tmp_path / "map.zarr"
+
+    def progress(done: int, total: int) -> None:
+        if done and victims:
+            os.kill(victims.pop(), signal.SIGKILL)
+            victims.clear()
+
+    small(path, workers=None, scheduler=cluster.scheduler_address, progress=progress)
+    assert victims == []
+    assert contents(path) == contents(undisturbed)
+
+
 def test_a_scheduler_that_is_gone(tmp_path: Path, undisturbed: Path) -> None:
     path = tmp_path / "map.zarr"
-    with local_cluster(1) as cluster:
+    with local_cluster(1, processes=False) as cluster:
 
         def close(done: int, total: int) -> None:
             if done == 90:
@@ -238,6 +234,7 @@ def test_a_worker_of_another_version_or_elsewhere_says_so(tmp_path: Path, monkey
         runner.complete_chunk(plan, tmp_path / "nowhere.zarr", (0, 0, 0, 0))
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_the_workers_quietly(tmp_path: Path) -> None:
     path = tmp_path / "map.zarr"
     with start(path, slices=200) as process:

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from balancers import MACHINES, equilibrium, stage_and_height
+from error_fields import with_fields
 
 import spm_pin as spm
 from spm_pin.sweeps import METRICS, Points
 from spm_pin.sweeps.domains import SweepPlan
-from spm_pin.sweeps.points import Space
 
 OF_MANIPULATORS = "branch", "det_upper", "det_structure"
+PAPER = spm.Manipulator.paper()
+ROBOTS = {"paper": PAPER, "paper as built": PAPER.perturbed(3, length=2e-3, angle=2e-3)}
 
 
 def limited(machine: str) -> tuple[spm.Stage, float]:
@@ -25,10 +28,20 @@ def limited(machine: str) -> tuple[spm.Stage, float]:
     return dataclasses.replace(stage, limits=spm.machine.StageLimits(level - room, level + room)), height
 
 
-def points_of(machine: str, space: Space, count: int = 60) -> Points:
-    """Return points some of which the stage reaches within its limits, some not."""
-    stage, height = limited(machine)
+def points_of(machine: str, space: str, count: int = 60) -> Points:
+    """Return points some of which the machine reaches within its limits, some not."""
     rng = np.random.default_rng(0)
+    if machine in ROBOTS:
+        robot = ROBOTS[machine]
+        readings = rng.uniform(1.05, 1.55, (count, 6))
+        if space == "legs":
+            return Points(robot, "legs", readings)
+        states = spm.forward_physical(robot, readings)
+        states = states[states.exists]
+        poses = np.concatenate([states.translation, states.pose.rotation.as_euler("XYX")], axis=-1)
+        poses[::5, :3] += [0.9, -0.7, 0.0]
+        return Points(robot, "pose", poses)
+    stage, height = limited(machine)
     if space == "legs":
         low, high = stage.reading_limits
         return Points(stage, "legs", rng.uniform(low - 0.1 * (high - low), high, (count, 3)))
@@ -36,54 +49,72 @@ def points_of(machine: str, space: Space, count: int = 60) -> Points:
     return Points(stage, "tilt", rng.uniform(low, high, (count, 3)))
 
 
-@pytest.mark.parametrize("space", ["tilt", "legs"])
-@pytest.mark.parametrize("machine", MACHINES)
-def test_metrics_of_stages_are_those_of_their_definitions(machine: str, space: Space) -> None:
-    points = points_of(machine, space)
-    stage = points.machine
-    assert isinstance(stage, spm.Stage)
-    if space == "tilt":
-        heights, tilts, azimuths = points.coordinates.T
-        both = spm.inverse_displacement(stage, heights, tilt=tilts, azimuth=azimuths)
-        states = both.physical()
+def efforts_of(state: Any) -> np.ndarray:
+    """Return the efforts (legs, 6) that hold unit wrenches: of a stage from forces at the balls in equilibrium."""
+    if isinstance(state, spm.Configuration):
+        return -np.linalg.inv(spm.inverse_jacobian(state).T)
+    return -np.linalg.inv(equilibrium(state))[:3]
+
+
+@pytest.mark.parametrize("space", ["places", "legs"])
+@pytest.mark.parametrize("machine", [*MACHINES, *ROBOTS])
+def test_metrics_are_those_of_their_definitions(machine: str, space: str) -> None:
+    points, is_stage = points_of(machine, space), machine not in ROBOTS
+    owner = points.machine
+    if space == "places":
+        heights, tilts, azimuths = points.coordinates.T[:3]
+        both = (
+            spm.inverse_displacement(owner, heights, tilt=tilts, azimuth=azimuths)
+            if is_stage
+            else spm.inverse_displacement(owner, spm.pose(points.coordinates[:, :3], xyx=points.coordinates[:, 3:]))
+        )
+        states = both.within().physical()
         np.testing.assert_array_equal(METRICS["branches"].evaluate(points), both.count)
         np.testing.assert_array_equal(METRICS["branches_within"].evaluate(points), both.within().count)
     else:
-        states = spm.forward_physical(stage, points.coordinates)
+        states = spm.forward_physical(owner, points.coordinates)
         found = METRICS["assembly_modes"].evaluate(points)[points.reachable]
-        modes = spm.forward_displacement(stage, points.coordinates[points.reachable])
+        modes = spm.forward_displacement(owner, points.coordinates[points.reachable])
         np.testing.assert_array_equal(found, modes.count)
     reachable = states.exists & (states.limit_excess == 0.0).all(axis=-1)
     assert 0 < np.count_nonzero(reachable) < len(points)
     np.testing.assert_array_equal(METRICS["reachable"].evaluate(points), reachable)
-    for name, metric in METRICS.items():
-        if name in OF_MANIPULATORS:
-            with pytest.raises(spm.ArgumentError) as caught:
-                metric.evaluate(points)
-            assert caught.value.argument == "metrics"
-        elif metric.dtype.startswith("float") and name != "leg_margin":
-            np.testing.assert_array_equal(np.isfinite(metric.evaluate(points)), reachable)
-    values = {name: METRICS[name].evaluate(points)[reachable] for name in METRICS if name not in OF_MANIPULATORS}
-    reached = states[reachable]
-    np.testing.assert_allclose(values["platform_tilt"], reached.tilt, atol=1e-9)
+    names = [name for name in METRICS if not (is_stage and name in OF_MANIPULATORS)]
+    for name in names:
+        if METRICS[name].dtype.startswith("float") and name != "leg_margin":
+            np.testing.assert_array_equal(np.isfinite(METRICS[name].evaluate(points)), reachable, err_msg=name)
+    for name in set(METRICS) - set(names):
+        with pytest.raises(spm.ArgumentError, check=with_fields(argument="metrics")):
+            METRICS[name].evaluate(points)
+    values, reached = {name: METRICS[name].evaluate(points)[reachable] for name in names}, states[reachable]
+    np.testing.assert_allclose(points.reached.readings, reached.readings, atol=1e-9)
+    np.testing.assert_allclose(values["platform_tilt"], np.arccos(reached.rotation[:, 2, 2]), atol=1e-7)
     np.testing.assert_allclose(np.stack([values[f"o_{x}"] for x in "xyz"], axis=-1), reached.translation, atol=1e-9)
-    low, high = stage.reading_limits
-    room = np.minimum(reached.readings - low, high - reached.readings) * stage.legs.largest_slopes
+    low, high = owner.reading_limits
+    slopes = owner.legs.largest_slopes
+    room = np.minimum(reached.readings - low, high - reached.readings) * slopes
     np.testing.assert_allclose(values["leg_margin"], room.min(axis=-1), atol=1e-9)
+    strong = METRICS["payload_down"](push=900.0, pull=400.0).evaluate(points)[reachable]
+    long = METRICS["conditioning"](length=0.5).evaluate(points)[reachable]
+    stiff = METRICS["least_stiffness"](leg_stiffness=2e7).evaluate(points)[reachable]
+    np.testing.assert_allclose(stiff, 2e7 * values["least_stiffness"], rtol=1e-9)
     for k, state in enumerate(reached):
-        # Efforts that hold a wrench, from forces at the balls that are in equilibrium with it.
-        efforts = -np.linalg.inv(equilibrium(state))[:3]
+        efforts = efforts_of(state)
         np.testing.assert_allclose(values["payload"][k], 1.0 / np.linalg.norm(efforts[:, :3], axis=-1).max(), rtol=1e-6)
         np.testing.assert_allclose(values["payload_down"][k], 1.0 / np.abs(efforts[:, 2]).max(), rtol=1e-6)
+        shares = np.maximum(-efforts[:, 2] / 900.0, efforts[:, 2] / 400.0)
+        np.testing.assert_allclose(strong[k], 1.0 / shares.max(), rtol=1e-6)
         for name, rows in (("least_stiffness", slice(3)), ("least_rotational_stiffness", slice(3, 6))):
             compliance = efforts[:, rows].T @ efforts[:, rows]
             np.testing.assert_allclose(values[name][k], 1.0 / np.linalg.eigvalsh(compliance)[-1], rtol=1e-6)
         # By virtual work G is minus the transposed efforts; of the motion in rates of knees and carriages.
-        g = -efforts.T[2:5] * [[1.0], [stage.platform_radius], [stage.platform_radius]] / stage.legs.largest_slopes
-        sizes = np.linalg.svd(g, compute_uv=False)
-        np.testing.assert_allclose(values["conditioning"][k], sizes[-1] / sizes[0], rtol=1e-6)
-        isotropy = np.prod(sizes**2) ** (1.0 / 3.0) / np.mean(sizes**2)
-        np.testing.assert_allclose(values["isotropy"][k], isotropy, rtol=1e-6)
+        for length, found in ((owner.platform_radius, values["conditioning"][k]), (0.5, long[k])):
+            g = (efforts.T * np.repeat([1.0, length], 3)[:, None] / slopes)[slice(2, 5) if is_stage else slice(6)]
+            sizes = np.linalg.svd(g, compute_uv=False)
+            np.testing.assert_allclose(found, sizes[-1] / sizes[0], rtol=1e-6)
+            if length == owner.platform_radius:
+                isotropy = np.exp(2.0 * np.log(sizes).mean()) / np.mean(sizes**2)
+                np.testing.assert_allclose(values["isotropy"][k], isotropy, rtol=1e-6)
 
 
 @pytest.mark.parametrize("machine", ["RPS", "PRS as built", "RRS as built"])
@@ -97,9 +128,8 @@ def test_the_determinant_of_a_stage_is_that_of_the_lower_one_of_a_robot(machine:
     np.testing.assert_allclose(found[both], expected[both], rtol=1e-9)
 
 
-@pytest.mark.parametrize("machine", ["RPS", "PRS as built", "RRS as built"])
-def test_a_store_of_a_stage_is_written_read_and_continued(machine: str, tmp_path: Path) -> None:
-    stage, height = limited(machine)
+def test_a_store_of_a_stage_is_written_read_and_continued(tmp_path: Path) -> None:
+    stage, height = limited("RRS as built")
     grid = spm.sweeps.tilt_grid((0.9 * height, 1.1 * height, 4), (0.0, 0.5, 3), (-np.pi, np.pi, 5))
     metrics = ["reachable", "conditioning", "platform_tilt"]
     results = spm.sweeps.run_sweep(stage, grid, metrics, tmp_path / "tilts.zarr", workers=1, chunk=20)
