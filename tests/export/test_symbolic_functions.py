@@ -398,7 +398,7 @@ def test_legs_of_any_kind_are_those_of_the_package(lower: str, upper: str, built
     machine = machine_of_kinds(lower, upper, built=built)
     state, wrench = states(machine), np.ones(6)
     arrays, pose = as_columns(state), (state.rotation, state.translation)
-    rates = spm.inverse_jacobian(state)
+    rates, values = spm.inverse_jacobian(state), [list(joint_values(one).values()) for one in state[:3]]
     for parameters in (False, True):
         further = [np.tile(machine.parameters, (len(state), 1))] if parameters else []
 
@@ -417,6 +417,7 @@ def test_legs_of_any_kind_are_those_of_the_package(lower: str, upper: str, built
         assert exists.all()
         # With errors of a hundredth another root may be passed over.
         assert (np.abs(readings - expected.readings).max(axis=-1) < 1e-11).mean() > (0.97 if built else 0.999)
+        np.testing.assert_allclose(of("joint_values", *arrays)[0][:3], values, rtol=0, atol=1e-11)
         (found,) = of("inverse_jacobian", *arrays)
         np.testing.assert_allclose(found, rates, rtol=0, atol=1e-11 * np.abs(rates).max())
         (forces,) = of("leg_forces", *arrays, np.tile(wrench, (len(state), 1)))

@@ -138,6 +138,7 @@ def test_a_hinge_closes_about_its_axis_and_a_slide_is_kept_in_the_tree() -> None
         ("<axis><xyz expressed_in='base'>1 0 0</xyz></axis>", "1.9", [0.0, -1.0, 0.0]),
         ("<axis><xyz>1 0 0</xyz><use_parent_model_frame>1</use_parent_model_frame></axis>", "1.6", [1.0, 0.0, 0.0]),
         ("<axis><xyz>1 0 0</xyz></axis>", "1.4", [1.0, 0.0, 0.0]),
+        ("<axis><xyz>1 0 0</xyz></axis>", "latest", [0.0, 1.0, 0.0]),
         ("<pose>0 0 0 0 0 1.5707963267948966</pose><axis><xyz>1 0 0</xyz></axis>", "1.9", [-1.0, 0.0, 0.0]),
         ("<pose degrees='true'>0 0 0 0 0 90</pose><axis><xyz>1 0 0</xyz></axis>", "1.9", [-1.0, 0.0, 0.0]),
         ("<pose relative_to='base'/><axis><xyz>1 0 0</xyz></axis>", "1.9", [0.0, -1.0, 0.0]),

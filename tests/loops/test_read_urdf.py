@@ -152,12 +152,13 @@ def test_closures_given_replace_those_of_the_file() -> None:
     assert read_urdf(LINKAGE, [mine]).closures == (mine,)
 
 
-def test_configurations_of_an_srdf(tmp_path: Path) -> None:
+def test_configurations_of_an_srdf(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "robot.srdf"
     values = '<joint name="elbow" value="0.5"/><joint name="gone" value="1"/>'
     state = f'<group_state name="up" group="all">{values}</group_state>'
     file.write_text(f'<robot name="linkage"><group name="all"/>{state}</robot>', encoding="utf-8")
     robot = read_urdf(LINKAGE, srdf=file)
+    assert capfd.readouterr() == ("", "")
     np.testing.assert_array_equal(robot.configurations["up"], [0.0, 0.0, 0.5])
     np.testing.assert_array_equal(robot.q0, [0.0, 0.0, 0.5])
     chain = ClosedChain.from_urdf(LINKAGE, free_base=True, actuated=["elbow"], srdf=file, held=["turn"])
