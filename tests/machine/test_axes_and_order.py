@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 
+import mpmath
 import numpy as np
 import pytest
 from balancers import HEIGHTS, STAGES
@@ -12,6 +13,8 @@ from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 from spm_pin.machine.legs import Legs
+
+PAPER = spm.Manipulator.paper()
 
 
 @pytest.mark.parametrize("machine", STAGES)
@@ -135,3 +138,22 @@ def test_nested_aliases_are_refused(tmp_path) -> None:  # type: ignore[no-untype
     assert error.value.expected == "a YAML file"
     file.write_text("base_radius: &radius 0.4\nplatform_radius: *radius\nlegs: {kind: RPS}\n")
     assert spm.Stage.from_yaml(file).platform_radius == 0.4
+
+
+@pytest.mark.parametrize("size", [3e-4, 0.2])
+def test_axes_have_their_derivatives_by_the_two_coordinates_of_their_direction(size: float) -> None:
+    """Small angles have a series of their own."""
+    turns = size * np.random.default_rng(1).uniform(0.5, 1.0, (6, 2))
+    parameters = PAPER.parameters.reshape(6, 9).copy()
+    parameters[:, :2] = turns
+    found = PAPER.from_parameters(parameters.ravel()).legs.axis_derivatives
+    drawn, across = PAPER.legs.axes, PAPER.legs.axis_derivatives
+    for leg, coordinate in np.ndindex(6, 3):
+
+        def component(*t: mpmath.mpf, leg: int = leg, coordinate: int = coordinate) -> mpmath.mpf:
+            angle = mpmath.sqrt(t[0] ** 2 + t[1] ** 2)
+            along = sum(x * a for x, a in zip(t, across[leg, coordinate].tolist(), strict=True))
+            return mpmath.cos(angle) * drawn[leg, coordinate] + mpmath.sin(angle) / angle * along
+
+        exact = [mpmath.diff(component, tuple(turns[leg].tolist()), order) for order in ((1, 0), (0, 1))]
+        np.testing.assert_allclose(found[leg, coordinate], [float(x) for x in exact], rtol=0, atol=1e-12)
