@@ -19,6 +19,7 @@ from problems import MANIPULATORS, as_built, conditioning, random_branches
 import spm_pin as spm
 from spm_pin.description.tree import joint_values
 from spm_pin.errors import ArgumentError
+from spm_pin.export.c_printer import number
 
 PAPER = MANIPULATORS["paper"]
 EPS = np.finfo(float).eps
@@ -300,6 +301,10 @@ def test_c_code_of_the_derivatives_compiles_and_computes_the_same(
         expected, found = (numbers(f, *arguments, *outputs) for f in (function, compiled))
         for a, b in zip(expected, found, strict=True):
             np.testing.assert_allclose(b, a, rtol=1e-9, atol=1e-11)
+
+
+def test_numbers_in_c() -> None:
+    assert [number(x) for x in (0.1, -np.inf, np.inf, np.nan)] == ["0.1", "-INFINITY", "INFINITY", "NAN"]
 
 
 def with_nan(numbers: np.ndarray, index: int) -> np.ndarray:
