@@ -104,6 +104,8 @@ def faults_of(path: Path) -> Iterator[dict[str, Any]]:
                 for child in node.body:
                     yield from visit(child, node)
                 return
+            case ast.keyword(arg="strict"):
+                return
             case ast.AnnAssign():
                 if node.value:
                     yield from visit(node.value, node)
