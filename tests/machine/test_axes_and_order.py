@@ -24,6 +24,14 @@ def test_either_sense_of_an_axis_is_the_same_machine(machine: str) -> None:
         assert Legs(legs.axes * np.array(senses)[:, None], *legs.arrays[1:], legs.kinds) == legs
 
 
+def test_only_a_machine_makes_nominal_legs() -> None:
+    legs = PAPER.legs
+    assert legs.is_nominal
+    assert not Legs(*legs.arrays, legs.kinds).is_nominal
+    with pytest.raises(TypeError):
+        Legs(*legs.arrays, legs.kinds, True)  # type: ignore[call-arg]
+
+
 def test_a_stage_with_an_axis_reversed_has_the_small_tilt_of_its_lengths() -> None:
     stage = spm.Stage(0.4, 0.3)
     axes = stage.legs.axes * [[1.0], [-1.0], [1.0]]
