@@ -94,7 +94,7 @@ def test_trees_of_published_robots_are_pinocchios(path: str) -> None:
 
 
 def test_a_joint_without_axis_and_limits_has_the_defaults_of_urdf() -> None:
-    joint = '<parent link="a"/><child link="b"/><limit effort="3" velocity="4"/><dynamics/>'
+    joint = '<parent link="a"/><child link="b"/><limit effort="3" velocity="4"/><dynamics damping="2"/>'
     text = f'<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="revolute">{joint}</joint></robot>'
     assert_same_tree(read_urdf(text).model, pin.buildModelFromXML(text))
 
