@@ -14,15 +14,6 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 import spm_pin as spm
 from spm_pin.kinematics import complex_middle_joints
-from spm_pin.kinematics.kernels.quadric_newton import (
-    POINTS,
-    ROWS,
-    imaginary_part,
-    put_imaginary_part,
-    put_real_part,
-    real_part,
-)
-from spm_pin.kinematics.kernels.quadric_roots import _made_real
 
 DIRECTION = np.random.default_rng(1).standard_normal(54)
 SIZES = (1e-9, 1e-5, 1e-3, 1e-2, 5e-2)
@@ -337,19 +328,3 @@ def test_near_a_double_root_the_radius_holds_or_is_missing() -> None:
         branches = spm.inverse_displacement(along(float(size)), EXAMPLE, certify=True)
         assert_roots_are_within(branches)
     assert np.isnan(branches.radius[branches.exists]).sum() <= 2
-
-
-def test_a_real_point_is_real_after_multiplication_by_any_number() -> None:
-    """The quadrics' points are projective: of a real one, only the phase is not."""
-    real = np.array([0.1, -0.7, 0.5, 0.4])
-    for number, beside in ((1.0, 0.0), (np.exp(0.7j), 0.0), (np.exp(2.0j), 0.0), (np.exp(0.7j), 0.1j)):
-        for coordinate in range(4):
-            z, points = number * (real + beside * np.eye(4)[coordinate]), np.zeros(ROWS * POINTS)
-            put_real_part(points, 2, tuple(z.real))
-            put_imaginary_part(points, 2, tuple(z.imag))
-            is_real = _made_real(points, 2)
-            assert is_real == (beside == 0.0)
-            if is_real:
-                found = np.array(real_part(points, 2))
-                np.testing.assert_allclose(np.outer(found, found), np.outer(real, real), atol=1e-15)
-                assert not any(imaginary_part(points, 2))
