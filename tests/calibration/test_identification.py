@@ -149,7 +149,6 @@ def scalar_first(rotation: Any) -> Any:
             "poses.*quaternions whose scalar is first. Scalar last they agree to",
         ),
         (lambda p, r: (altered(p, position=lambda o: o * [1, -1, 1]), r), "poses.*other axes. As x, -y, z they agree"),
-        (lambda p, r: (altered(p, position=lambda o: o * [1, 1, -1]), r), "poses.*other axes. As x, y, -z they agree"),
         (lambda p, r: (p[:, [1, 0, 2], 3], r), "poses.*other axes. As y, x, z they agree"),
         (lambda p, r: (p[:, :3, 3] * [1, 1, 1000], r), r"poses: expected lengths in metres.*for z.*mm\?"),
         (lambda p, r: (p, np.roll(r, 1, axis=0)), "poses.*order of the readings, got readings shifted by 1 rows"),
@@ -222,7 +221,6 @@ def test_too_few_rows_to_find_the_wrong_one_are_no_fit(error: float, status: str
     found = identify(PAPER, poses, readings)
     assert found.status == status
     assert found.reason.startswith("too few rows to find the wrong ones: without row")
-    assert "frames=True" not in found.reason
 
 
 def test_measurements_that_fit_no_machine_are_not_used() -> None:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
 
 import spm_pin as spm
-from spm_pin.calibration import Inclinations
+from spm_pin.calibration import Inclinations, MeasurementError
 from spm_pin.calibration.frames import Frames
 from spm_pin.calibration.measurements import Measurements
 
@@ -36,3 +40,23 @@ def test_a_reading_below_the_offset_of_a_trial_machine_has_no_state() -> None:
     measured = with_gaps()
     assert not measured.states(machine).exists.any()
     assert np.isnan(measured.errors(machine)[measured.present]).all()
+
+
+PAPER = spm.Manipulator.paper()
+ROBOT = spm.forward_physical(PAPER, np.random.default_rng(3).uniform(1.1, 1.5, (12, 6)))
+
+
+def test_a_mirrored_height_is_named() -> None:
+    poses = ROBOT.pose.as_matrix() * [[1.0, 1.0, 1.0, 1.0], [1.0, 1.0, 1.0, 1.0], [1.0, 1.0, 1.0, -1.0], [1.0] * 4]
+    with pytest.raises(MeasurementError) as caught:
+        Measurements.check(PAPER, poses, ROBOT.readings, frames=False)
+    assert caught.value.argument == "poses"
+    assert caught.value.cause.startswith("As x, y, -z they agree")
+
+
+def test_only_what_a_tracker_sees_elsewhere_is_in_other_frames() -> None:
+    tracker = RigidTransform.from_components([3.0, 1.0, 0.5], Rotation.from_rotvec([0.1, 0.4, 2.0]))
+    measured = Measurements.check(PAPER, ROBOT.translation, ROBOT.readings, frames=False)
+    elsewhere = replace(measured, poses=(tracker * ROBOT.pose).as_matrix())
+    assert not measured.are_in_other_frames(PAPER)
+    assert elsewhere.are_in_other_frames(PAPER)

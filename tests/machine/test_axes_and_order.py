@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import re
 
-import mpmath
 import numpy as np
 import pytest
 from balancers import HEIGHTS, STAGES
@@ -14,22 +13,12 @@ from scipy.spatial.transform import Rotation
 import spm_pin as spm
 from spm_pin.machine.legs import Legs
 
-PAPER = spm.Manipulator.paper()
-
 
 @pytest.mark.parametrize("machine", STAGES)
 def test_either_sense_of_an_axis_is_the_same_machine(machine: str) -> None:
     legs = STAGES[machine].perturbed(3).legs
     for senses in itertools.product((1.0, -1.0), repeat=3):
         assert Legs(legs.axes * np.array(senses)[:, None], *legs.arrays[1:], legs.kinds) == legs
-
-
-def test_only_a_machine_makes_nominal_legs() -> None:
-    legs = PAPER.legs
-    assert legs.is_nominal
-    assert not Legs(*legs.arrays, legs.kinds).is_nominal
-    with pytest.raises(TypeError):
-        Legs(*legs.arrays, legs.kinds, True)  # type: ignore[call-arg]
 
 
 def test_a_stage_with_an_axis_reversed_has_the_small_tilt_of_its_lengths() -> None:
@@ -146,22 +135,3 @@ def test_nested_aliases_are_refused(tmp_path) -> None:  # type: ignore[no-untype
     assert error.value.expected == "a YAML file"
     file.write_text("base_radius: &radius 0.4\nplatform_radius: *radius\nlegs: {kind: RPS}\n")
     assert spm.Stage.from_yaml(file).platform_radius == 0.4
-
-
-@pytest.mark.parametrize("size", [3e-4, 0.2])
-def test_axes_have_their_derivatives_by_the_two_coordinates_of_their_direction(size: float) -> None:
-    """Small angles have a series of their own."""
-    turns = size * np.random.default_rng(1).uniform(0.5, 1.0, (6, 2))
-    parameters = PAPER.parameters.reshape(6, 9).copy()
-    parameters[:, :2] = turns
-    found = PAPER.from_parameters(parameters.ravel()).legs.axis_derivatives
-    drawn, across = PAPER.legs.axes, PAPER.legs.axis_derivatives
-    for leg, coordinate in np.ndindex(6, 3):
-
-        def component(*t: mpmath.mpf, leg: int = leg, coordinate: int = coordinate) -> mpmath.mpf:
-            angle = mpmath.sqrt(t[0] ** 2 + t[1] ** 2)
-            along = sum(x * a for x, a in zip(t, across[leg, coordinate].tolist(), strict=True))
-            return mpmath.cos(angle) * drawn[leg, coordinate] + mpmath.sin(angle) / angle * along
-
-        exact = [mpmath.diff(component, tuple(turns[leg].tolist()), order) for order in ((1, 0), (0, 1))]
-        np.testing.assert_allclose(found[leg, coordinate], [float(x) for x in exact], rtol=0, atol=1e-12)

@@ -129,11 +129,10 @@ def test_what_is_no_pose_is_refused(make: object, words: str) -> None:
 
 
 def test_the_argument_is_named_in_the_callers_words() -> None:
-    sheared = np.array([[1.0, 0.6, 0.0, 0.0], [0.0, 0.8, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
-    for wrong in (np.zeros((3, 3)), np.diag([1.01, 1.01, 1.01, 1.0]), sheared, sheared.T):
-        with pytest.raises(spm.PoseError, check=with_fields(argument="pose")) as caught:
-            spm.inverse_displacement(spm.Manipulator.paper(), wrong)
-        assert isinstance(caught.value, ValueError)
+    with pytest.raises(spm.PoseError, check=with_fields(argument="pose")) as caught:
+        spm.inverse_displacement(spm.Manipulator.paper(), np.zeros((3, 3)))
+    assert caught.value.argument == "pose"
+    assert isinstance(caught.value, ValueError)
 
 
 def test_angles_in_degrees_are_noticed() -> None:
