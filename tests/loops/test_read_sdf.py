@@ -179,6 +179,8 @@ def test_floating_and_static_models_frames_limits_and_motors() -> None:
     assert (robot.model.lowerPositionLimit[turn.idx_q], robot.model.upperPositionLimit[turn.idx_q]) == (-1.0, np.inf)
     assert (robot.model.upperEffortLimit[turn.idx_v], robot.model.upperVelocityLimit[turn.idx_v]) == (5.0, np.inf)
     assert robot.model.damping[turn.idx_v] == 0.2
+    unlimited = robot.model.joints[robot.model.getJointId("u_1")].idx_q
+    assert (robot.model.lowerPositionLimit[unlimited], robot.model.upperPositionLimit[unlimited]) == (-np.inf, np.inf)
     fixed = read_sdf(model(joints + frame, above=pose + "<static>true</static>", **POSES))
     assert list(fixed.model.names) == ["universe", "turn", "u_1", "u_2"]
     np.testing.assert_allclose(places(fixed)["rocker"].translation, [1.4, 2.0, 3.0])
