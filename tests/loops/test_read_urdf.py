@@ -99,6 +99,21 @@ def test_a_joint_without_axis_and_limits_has_the_defaults_of_urdf() -> None:
     assert_same_tree(read_urdf(text).model, pin.buildModelFromXML(text))
 
 
+def test_moments_that_no_body_has_are_kept_as_pinocchio_keeps_them() -> None:
+    moments = '<inertia ixx="-0.1" ixy="0.1" ixz="0.2" iyy="2" iyz="0.3" izz="2.5"/>'
+    inertial = f'<inertial><origin xyz="0.1 0.2 0.3" rpy="0 0 1"/><mass value="2"/>{moments}</inertial>'
+    joint = (
+        '<joint name="j" type="revolute"><parent link="a"/><child link="b"/><limit effort="3" velocity="4"/></joint>'
+    )
+    text = f'<robot name="r"><link name="a"/><link name="b">{inertial}</link>{joint}</robot>'
+    assert_same_tree(read_urdf(text).model, pin.buildModelFromXML(text))
+
+
+def test_a_mimic_without_numbers_has_the_value_of_its_joint() -> None:
+    text = LINKAGE.replace(' multiplier="0.5" offset="0.1"', "")
+    assert read_urdf(text).equalities == (JointEquality("follow", "turn", (0.0, 1.0)),)
+
+
 def test_loops_of_this_robot_are_read_from_its_yaml_and_from_drakes_tags() -> None:
     by_yaml, by_tags = read_urdf(URDF_PATH, CLOSURES_PATH), read_urdf(URDF_PATH)
     assert (
