@@ -52,15 +52,11 @@ def values(forms: Any, x: np.ndarray) -> list[float]:
     return [product(tuple(x), symmetric_product(quadric, tuple(x))) for quadric in quadrics]
 
 
-def pair_of_roots() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return three quadrics and two of their common points, a thousandth apart."""
-    first = np.array([0.1, -0.7, 0.5, 0.5])
-    second = first + 1e-3 * np.array([0.7, 0.1, 0.5, -0.5])
-    first, second = first / np.linalg.norm(first), second / np.linalg.norm(second)
-    monomials = [[values(np.eye(10)[[k, k, k]], x)[0] for k in range(10)] for x in (first, second)]
-    forms = np.random.default_rng(0).normal(size=(3, 8)) @ null_space(monomials).T
-    np.testing.assert_allclose([values(forms, first), values(forms, second)], 0.0, atol=1e-15)
-    return forms, first, second
+def quadrics_through(*points: np.ndarray) -> np.ndarray:
+    monomials = [[values(np.eye(10)[[k, k, k]], x)[0] for k in range(10)] for x in points]
+    forms: np.ndarray = np.random.default_rng(0).normal(size=(3, 10 - len(points))) @ null_space(monomials).T
+    np.testing.assert_allclose([values(forms, x) for x in points], 0.0, atol=1e-15)
+    return forms
 
 
 def projector(points: np.ndarray) -> np.ndarray:
@@ -69,7 +65,10 @@ def projector(points: np.ndarray) -> np.ndarray:
 
 
 def test_the_partner_of_a_root_is_where_newton_s_method_leads_from_the_start_beside_it() -> None:
-    forms, first, second = pair_of_roots()
+    first = np.array([0.1, -0.7, 0.5, 0.5])
+    second = first + 1e-3 * np.array([0.7, 0.1, 0.5, -0.5])
+    second /= np.linalg.norm(second)
+    forms = quadrics_through(first, second)
     roots, points = np.zeros((2, ROWS * POINTS))
     for k in range(POINTS):
         put_real_part(roots, k, tuple(first))
@@ -78,16 +77,16 @@ def test_the_partner_of_a_root_is_where_newton_s_method_leads_from_the_start_bes
     np.testing.assert_allclose(projector(points), np.outer(second, second), atol=1e-10)
 
 
-@pytest.mark.parametrize(("share", "state"), [(0.999, CONVERGED), (0.6, FAILED)])
-def test_only_a_point_next_to_a_root_passes_as_such(share: float, state: float) -> None:
-    """From between two roots Newton's method leads to the nearer one, too, but by long steps."""
-    forms, first, second = pair_of_roots()
-    start = (1.0 - share) * first + share * second
+@pytest.mark.parametrize(("away", "state"), [(0.01, CONVERGED), (0.12, FAILED)])
+def test_only_a_point_next_to_a_root_passes_as_such(away: float, state: float) -> None:
+    """From far away Newton's method leads to the root, too, but not by a short first step."""
+    root = np.array([0.1, -0.7, 0.5, 0.5])
+    forms = quadrics_through(root)
     for contracting, expected in ((True, state), (False, CONVERGED)):
         points = np.zeros(ROWS * POINTS)
         for k in range(POINTS):
-            put_real_part(points, k, tuple(start / np.linalg.norm(start)))
+            put_real_part(points, k, tuple(root + away * np.array([0.6, 0.3, -0.3, 0.6])))
         polish(forms, points, False, contracting, 30)
         assert points[STATE + 1] == expected
         if expected == CONVERGED:
-            np.testing.assert_allclose(projector(points), np.outer(second, second), atol=1e-10)
+            np.testing.assert_allclose(projector(points), np.outer(root, root), atol=1e-12)
