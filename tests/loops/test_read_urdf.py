@@ -100,8 +100,8 @@ def test_a_joint_without_axis_and_limits_has_the_defaults_of_urdf() -> None:
 
 
 def test_moments_that_no_body_has_are_kept_as_pinocchio_keeps_them() -> None:
-    moments = '<inertia ixx="-0.1" ixy="0.1" ixz="0.2" iyy="2" iyz="0.3" izz="2.5"/>'
-    inertial = f'<inertial><origin xyz="0.1 0.2 0.3" rpy="0 0 1"/><mass value="2"/>{moments}</inertial>'
+    moments = '<inertia ixx="-1" ixy="0.1" ixz="0.2" iyy="2" iyz="0.3" izz="2.5"/>'
+    inertial = f'<inertial><origin xyz="0.1 0.2 0.3" rpy="0 0 0.1"/><mass value="2"/>{moments}</inertial>'
     joint = (
         '<joint name="j" type="revolute"><parent link="a"/><child link="b"/><limit effort="3" velocity="4"/></joint>'
     )
