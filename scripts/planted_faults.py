@@ -1,16 +1,17 @@
-"""Plant faults in the package, one at a time, and count how many of them the tests catch.
+"""Plant faults in the package, one at a time, and count how many of them the normal tests catch.
 
-    python scripts/planted_faults.py map     # once, an hour: which tests run which lines, and how long they take
-    python scripts/planted_faults.py run     # with a few tests each; interrupted, it goes on where it was
-    python scripts/planted_faults.py run --survivors    # those again that survived, with all their tests
-    python scripts/planted_faults.py list    # what survived
+    python scripts/planted_faults.py run               # plant 240 faults; interrupted, it goes on where it was
+    python scripts/planted_faults.py run --again       # plant those again that survived, with more tests
+    python scripts/planted_faults.py list              # show what survived, and the rate
 
 A fault is a changed sign, index, constant or comparison, two arguments in the wrong order or a copy not made. The
-same seed plants the same faults, an equal number in each group of files. Everything happens in copies of the tree and
-without compiling: interpreted kernels give the same bits. A fault is caught if a test fails of those that run its block
-of statements, at first up to 40 quick ones, and then of all that run anything in its file. Numbers below 1e-4 are left
-alone: they are tolerances, whose double is no fault. Tests that fail or take long without a compiler do not count, so a
-survivor may still be caught by `make test`: `run --survivors --compiled` plants it again with one.
+same seed plants the same faults wherever their lines have not changed, an equal number in each group of files, each in
+a copy of the tree. Kernels are interpreted, which gives the same bits: compiling each fault would take minutes. A fault
+is caught if a test fails that passes without it; first run those test files that have caught faults in the same file.
+Numbers below 1e-4 are left alone: they are tolerances, whose double is no fault.
+
+Faults that change no result, or only how long it takes, are listed with their reasons in
+`planted_faults_equivalent.txt` and not counted. When their line changes, so does their key.
 
 mutmut and cosmic-ray run all tests of a module for each of all faults, which takes days here; mutmut moreover puts a
 wrapper around each function, which Numba does not compile.
@@ -22,30 +23,26 @@ import argparse
 import ast
 import collections
 import concurrent.futures
-import contextlib
+import hashlib
 import json
-import multiprocessing
 import os
-import random
 import shutil
 import signal
+import subprocess
 import sys
 from collections.abc import Iterator
-from importlib import import_module
-from importlib.util import cache_from_source
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 ROOT = Path(__file__).parents[1]
-GROUPS = {
-    "formulas": ["formulas/*.py"],
-    "kernels": ["kinematics/kernels/*.py"],
-    "loops": ["loops/*.py"],
-    "machine": ["machine/*.py"],
-    "readers": ["loops/read_*.py", "loops/xml_input.py", "calibration/measurements.py", "support/motion_table.py"],
+EQUIVALENT = Path(__file__).with_name("planted_faults_equivalent.txt")
+GROUPS = {  # readers and exporters before the folders that they lie in
     "exporters": ["export/*.py", "loops/write_chain.py", "description/*.py", "casadi/*.py"],
+    "readers": ["loops/read_*.py", "loops/xml_input.py", "calibration/measurements.py", "support/motion_table.py"],
+    "machine": ["machine/*.py"],
+    "loops": ["loops/*.py"],
+    "kernels": ["kinematics/kernels/*.py"],
+    "formulas": ["formulas/*.py"],
 }
 SWAPS = {
     ast.Add: ("+", "-"), ast.Sub: ("-", "+"), ast.Mult: ("*", "/"), ast.Div: ("/", "*"),
@@ -53,58 +50,28 @@ SWAPS = {
     ast.NotEq: ("!=", "=="), ast.Is: ("is", "is not"), ast.IsNot: ("is not", "is"), ast.In: ("in", "not in"),
     ast.NotIn: ("not in", "in"), ast.And: ("and", "or"), ast.Or: ("or", "and"),
 }  # fmt: skip
+TESTS = {  # folders of tests that run a folder of the package
+    "calibration": "calibration cli",
+    "casadi": "export arrays crosscheck motion",
+    "description": "description display multibody",
+    "export": "export cli",
+    "formulas": "kinematics export arrays workspace proofs",
+    "kinematics": "kinematics machine workspace proofs",
+    "loops": "loops multibody description",
+    "machine": "machine kinematics calibration proofs description display",
+    "support": "machine calibration cli display",
+}
 SYMMETRIC = {"dot", "both", "either", "min", "max", "minimum", "maximum", "isinstance", "add", "hypot", "equal", "zip"}
-SELECTION = ["-m", "not slow and not documents", "-q", "-p", "no:cacheprovider", "-p", "planted_faults"]
-SELECTION += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]  # of what is imported before the fork
-IMPORTED = (
-    "numpy",
-    "scipy.optimize",
-    "scipy.spatial",
-    "numba",
-    "casadi",
-    "pinocchio",
-    "hypothesis",
-    "mpmath",
-    "mujoco",
-)
-"""Packages that take long to import and are imported once."""
-LIMIT = "PLANTED_FAULTS_LIMIT"
-"""Environment variable with the time [s] of the processor that a test may take."""
-
-
-# What runs inside pytest, which loads this file as a plugin
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_protocol() -> Iterator[None]:
-    """Let a test fail that takes too long: a fault may make a loop endless."""
-    signal.signal(signal.SIGPROF, lambda *_: pytest.fail("takes too long"))
-    signal.setitimer(signal.ITIMER_PROF, float(os.environ[LIMIT]))
-    try:
-        return (yield)
-    finally:
-        signal.setitimer(signal.ITIMER_PROF, 0)
-
-
-def pytest_runtest_logreport(report: pytest.TestReport) -> None:
-    """Write down which blocks ran since the last report, in the copy where they are marked."""
-    ran = getattr(sys.modules.get("blocks_that_ran"), "ran", None)
-    if ran is not None and (worker := os.environ.get("PYTEST_XDIST_WORKER")):
-        row = [report.nodeid, report.when, report.duration, report.outcome == "passed", sorted(ran)]
-        ran.clear()
-        with Path(f"../ran-{worker}.jsonl").open("a") as file:
-            file.write(json.dumps(row) + "\n")
-
-
-# Faults
+PYTEST = ["-m", "pytest", "-x", "-q", "-m", "not slow and not documents", "-o", "cache_dir=.faults"]
+ENVIRONMENT = {"SPM_PIN_THREADS": "1", "SPM_PIN_KERNELS": "interpreted", "NUMBA_DISABLE_JIT": "1", "COLUMNS": "300"}
 
 
 def faults_of(path: Path) -> Iterator[dict[str, Any]]:
     """Yield the faults that can be planted in a file: place, text there and text to put instead."""
     source = path.read_bytes()
-    starts = [0]
-    for line in source.splitlines(keepends=True):
-        starts.append(starts[-1] + len(line))
+    lines = source.splitlines(keepends=True)
+    starts = [sum(map(len, lines[:i])) for i in range(len(lines) + 1)]
+    seen: collections.Counter[str] = collections.Counter()
 
     def begin(node: ast.AST) -> int:
         return starts[node.lineno - 1] + node.col_offset  # type: ignore[attr-defined]
@@ -117,8 +84,11 @@ def faults_of(path: Path) -> Iterator[dict[str, Any]]:
 
     def fault(kind: str, first: int, last: int, new: str) -> dict[str, Any]:
         line = source.count(b"\n", 0, first) + 1
-        old, file = source[first:last].decode(), str(path.relative_to(ROOT))
-        return {"file": file, "line": line, "kind": kind, "at": first, "old": old, "new": new}
+        old, file, whole = source[first:last].decode(), str(path.relative_to(ROOT)), lines[line - 1].decode()
+        place = f"{file} {whole.strip()} {first - starts[line - 1] - len(whole) + len(whole.lstrip())} {new}"
+        seen[place] += 1
+        key = hashlib.sha1(f"{place} {seen[place]}".encode()).hexdigest()[:8]
+        return {"key": key, "file": file, "line": line, "kind": kind, "at": first, "old": old, "new": new}
 
     def between(kind: str, left: ast.AST, right: ast.AST, operator: ast.AST) -> Iterator[dict[str, Any]]:
         old, new = SWAPS.get(type(operator), ("", ""))
@@ -133,6 +103,8 @@ def faults_of(path: Path) -> Iterator[dict[str, Any]]:
             case ast.FunctionDef():  # neither decorators nor annotations
                 for child in node.body:
                     yield from visit(child, node)
+                return
+            case ast.keyword(arg="strict"):
                 return
             case ast.AnnAssign():
                 if node.value:
@@ -158,7 +130,9 @@ def faults_of(path: Path) -> Iterator[dict[str, Any]]:
                 yield fault(kind, begin(node), end(node), str(new))
             case ast.Call(func=ast.Attribute(attr="copy"), args=[]):
                 yield fault("copy", begin(node), end(node), f"({text(node.func.value)})")
-            case ast.Call(func=ast.Attribute(attr="array", value=ast.Name(id="np")), args=[_]):
+            case ast.Call(
+                func=ast.Attribute(attr="array", value=ast.Name(id="np")), args=[ast.Name() | ast.Subscript()]
+            ):
                 yield fault("copy", end(node.func) - len("array"), end(node.func), "asarray")
             case ast.Call(args=[first, second, *_]) if not isinstance(first, ast.Starred):
                 name = text(node.func).rpartition(".")[2]
@@ -173,166 +147,94 @@ def faults_of(path: Path) -> Iterator[dict[str, Any]]:
 
 def sample(number: int, seed: int) -> list[dict[str, Any]]:
     """Return an equal share of faults of each group, all groups mixed: any first part of them is a sample too."""
+
+    def rank(fault: dict[str, Any]) -> bytes:
+        return hashlib.sha1(f"{seed} {fault['key']}".encode()).digest()
+
     chosen: list[dict[str, Any]] = []
     taken: set[Path] = set()
-    for group in reversed(GROUPS):  # readers and writers before the folders that they lie in
-        files = {path for pattern in GROUPS[group] for path in (ROOT / "spm_pin").glob(pattern)} - taken
+    for group, patterns in GROUPS.items():
+        files = {path for pattern in patterns for path in (ROOT / "spm_pin").glob(pattern)} - taken
         taken |= files
         possible = [fault | {"group": group} for path in sorted(files) for fault in faults_of(path)]
-        chosen += random.Random(f"{seed} {group}").sample(possible, number // len(GROUPS))
-    random.Random(seed).shuffle(chosen)
-    return chosen
+        chosen += sorted(possible, key=rank)[: number // len(GROUPS)]
+    return sorted(chosen, key=rank)
 
 
-# Tests
+def closest_tests(fault: dict[str, Any], results: list[dict[str, Any]], number: int) -> list[str]:
+    """Return first the test files that have caught faults in the same file, then those whose name has words of its."""
+    file = Path(fault["file"])
+    caught = collections.Counter(f["caught"].partition("::")[0] for f in results if f["file"] == fault["file"])
+    paths = [path for folder in TESTS[file.parts[1]].split() for path in (ROOT / "tests" / folder).rglob("test_*.py")]
+
+    def order(path: Path) -> tuple[int, int, int]:
+        common = set(file.stem.split("_")) & set(path.stem.split("_"))
+        return -caught[str(path.relative_to(ROOT))], -len(common), path.stat().st_size
+
+    return [str(path.relative_to(ROOT)) for path in sorted(paths, key=order)[:number]]
 
 
-def run_pytest(tree: Path, *arguments: str, limit: float, seconds: float | None = None) -> int:
-    """Run pytest in a copy of the tree and return its exit code, negative if it takes longer than so many seconds."""
-    process = multiprocessing.get_context("fork").Process(target=_pytest_in, args=(tree, limit, *arguments))
-    process.start()
-    process.join(seconds)
-    if process.is_alive():
-        os.killpg(process.pid, signal.SIGKILL)  # compilers and servers that the tests have started, too
-        process.join()
-    return process.exitcode or 0
+class Tree:
+    """A copy of the working tree in which faults are planted."""
+
+    def __init__(self, folder: Path, options: argparse.Namespace) -> None:
+        self.path, self.seconds, self.sound, self.unsound = folder / "tree", options.seconds, set[str](), set[str]()
+        shutil.rmtree(folder, ignore_errors=True)
+        ignored = shutil.ignore_patterns(".git", ".venv", "build", "dist", ".*_cache", "__pycache__", ".hypothesis")
+        shutil.copytree(ROOT, self.path, ignore=ignored, symlinks=True)
+        self.environment = os.environ | {"PYTHONPATH": str(self.path), "PYTHONDONTWRITEBYTECODE": "1"}
+        self.environment |= {} if options.compiled else ENVIRONMENT
+
+    def first_failure(self, tests: list[str]) -> str:
+        """Return the first test that fails, or ''."""
+        failed = self.path / ".faults/v/cache/lastfailed"
+        failed.unlink(missing_ok=True)
+        skipped = [word for test in self.unsound for word in ("--deselect", test)]
+        command = [sys.executable, *PYTEST, *skipped, *tests]
+        with (self.path.parent / "pytest.log").open("w") as log:
+            process = subprocess.Popen(
+                command, cwd=self.path, env=self.environment, stdout=log, stderr=log, start_new_session=True
+            )
+            try:
+                code = process.wait(self.seconds)
+            except subprocess.TimeoutExpired:  # not caught: an endless loop is rare, and is seen in the log
+                os.killpg(process.pid, signal.SIGKILL)  # servers that the tests have started, too
+                process.wait()
+                return ""
+        if failed.exists() and (tests := list(json.loads(failed.read_text()))):
+            return tests[0]
+        if code > 1 and code != 5:  # 5: no test selected
+            raise RuntimeError(f"pytest did not run: see {log.name}")
+        return ""
+
+    def catcher(self, fault: dict[str, Any], tests: list[str]) -> str:
+        """Plant a fault and return the test that fails and passes without it, or ''."""
+        path = self.path / fault["file"]
+        source, at, old = path.read_bytes(), fault["at"], fault["old"].encode()
+        assert source[at : at + len(old)] == old, "the tree has changed"
+        while True:
+            path.write_bytes(source[:at] + fault["new"].encode() + source[at + len(old) :])
+            try:
+                test = self.first_failure(tests)
+            finally:
+                path.write_bytes(source)
+            if not test or test in self.sound:
+                return test
+            (self.unsound if self.first_failure([test]) else self.sound).add(test)
 
 
-def _pytest_in(tree: Path, limit: float, *arguments: str) -> None:
-    """Run pytest in this process, forked with the packages imported that most tests need."""
-    os.setsid()
-    os.chdir(tree)
-    with (tree / "pytest.log").open("w") as log:
-        os.dup2(log.fileno(), 1)
-        os.dup2(log.fileno(), 2)
-    os.environ |= {"PYTHONPATH": f"{tree}:{tree / 'scripts'}", LIMIT: str(limit), "COLUMNS": "300"}
-    sys.path[:0] = [str(tree), str(tree / "scripts")]
-    code = pytest.main([*SELECTION, *arguments])
-    sys.stdout.flush()
-    os._exit(code)
-
-
-def copy_tree(to: Path) -> Path:
-    """Return a new copy of the working tree."""
-    shutil.rmtree(to, ignore_errors=True)
-    ignored = shutil.ignore_patterns(".git", ".venv", "build", "dist", ".*_cache", "__pycache__", ".hypothesis")
-    return Path(shutil.copytree(ROOT, to, ignore=ignored, symlinks=True))
-
-
-def mark_blocks(path: Path, first: int) -> list[tuple[int, int]]:
-    """Let each block of statements in a file's functions note that it runs, and return their first and last lines."""
-    tree = ast.parse(path.read_bytes())
-    blocks: list[tuple[int, int]] = []
-    functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
-    for node in dict.fromkeys(node for function in functions for node in ast.walk(function)):
-        for block in (getattr(node, field, None) for field in ("body", "orelse", "finalbody")):
-            if isinstance(block, list) and block and not isinstance(node, ast.ClassDef):
-                blocks.append((block[0].lineno, block[-1].end_lineno))
-                has_docstring = node in functions and ast.get_docstring(node, clean=False) is not None
-                block.insert(int(has_docstring), ast.parse(f"_ran({first + len(blocks) - 1})").body[0])
-    at = next((i + 1 for i, node in enumerate(tree.body) if getattr(node, "module", "") == "__future__"), 0)
-    tree.body.insert(at, ast.parse("from blocks_that_ran import add as _ran").body[0])
-    path.write_text(ast.unparse(tree))
-    return blocks
-
-
-def make_map(folder: Path, workers: int, tests: list[str]) -> None:
-    """Run the tests once and keep which blocks they run, and how long they take."""
-    for path in folder.glob("ran-*.jsonl") if not tests else ():
-        path.unlink()
-    tree = copy_tree(folder / "tree")
-    (tree / "blocks_that_ran.py").write_text("ran = set()\nadd = ran.add\n")
-    blocks: list[tuple[str, int, int]] = []
-    for path in sorted((tree / "spm_pin").rglob("*.py")):
-        blocks += [(str(path.relative_to(tree)), *lines) for lines in mark_blocks(path, len(blocks))]
-    (folder / "blocks.json").write_text(json.dumps(blocks))
-    run_pytest(tree, "-n", str(workers), "--dist", "worksteal", *tests, limit=4)
-
-
-class Map:
-    """The tests that ran each block, the quickest first."""
-
-    def __init__(self, folder: Path) -> None:
-        self.blocks = json.loads((folder / "blocks.json").read_text())
-        self.seconds: dict[str, float] = collections.defaultdict(float)
-        of_block: dict[int, set[str]] = collections.defaultdict(set)
-        of_file: dict[str, list[str]] = collections.defaultdict(list)
-        shared: list[tuple[str, list[int]]] = []
-        for path in folder.glob("ran-*.jsonl"):
-            for test, when, seconds, passed, ran in map(json.loads, path.open()):
-                self.seconds[test] += seconds if passed else float("inf")
-                if when == "setup":  # what a fixture of a file runs is put down to the first of the tests that share it
-                    of_file[test.partition("::")[0]].append(test)
-                    shared.append((test, ran))
-                for block in ran:
-                    of_block[block].add(test)
-        for test, ran in shared:
-            for block in ran:
-                of_block[block].update(of_file[test.partition("::")[0]])
-        self.of_block = of_block
-
-    def tests(self, fault: dict[str, Any]) -> tuple[list[str], list[str]]:
-        """Return some tests that run the block of a fault, the quickest of different functions, and all others."""
-        own = {i: block for i, block in enumerate(self.blocks) if block[0] == fault["file"]}
-        around = [i for i, (_, first, last) in own.items() if first <= fault["line"] <= last]
-        block = min(around, key=lambda i: own[i][2] - own[i][1], default=-1)
-        direct = self._sorted(self.of_block[block])
-        counts: collections.Counter[str] = collections.Counter()
-        few = []
-        for test in direct:
-            counts[test.partition("[")[0]] += 1
-            if counts[test.partition("[")[0]] <= 3 and len(few) < 40:
-                few.append(test)
-        others = self._sorted(set().union(*(self.of_block[i] for i in own)))
-        return few, [test for test in dict.fromkeys([*direct, *others]) if test not in few]
-
-    def _sorted(self, tests: set[str]) -> list[str]:
-        return sorted((t for t in tests if self.seconds[t] < 60), key=lambda t: (self.seconds[t], t))
-
-
-def is_caught(fault: dict[str, Any], tree: Path, tests: list[str], seconds: float) -> str:
-    """Plant a fault in a copy of the tree and return the test that fails, or ''."""
-    path = tree / fault["file"]
-    source = path.read_bytes()
-    at, old = fault["at"], fault["old"].encode()
-    if source[at : at + len(old)] != old:
-        raise RuntimeError(f"the tree has changed: {describe(fault)}")
-    cached = Path(cache_from_source(str(path)))
-    (tree / "tests.txt").write_text("".join(f"{test}\n" for test in tests))
-    try:
-        path.write_bytes(source[:at] + fault["new"].encode() + source[at + len(old) :])
-        cached.unlink(missing_ok=True)
-        code = run_pytest(tree, "-x", "@tests.txt", limit=30, seconds=seconds)
-    finally:
-        path.write_bytes(source)
-        cached.unlink(missing_ok=True)
-    log = (tree / "pytest.log").read_text()
-    failed = [line for line in log.splitlines() if line.startswith(("FAILED", "ERROR", "ImportError while"))]
-    if code > 0 and (not failed or "ERROR: not found" in log):
-        raise RuntimeError(f"no test of the map has been run: {log[-500:]}")
-    return failed[0] if code > 0 else ""  # out of time is not caught: an endless loop ends by the limit of its test
-
-
-def run(faults: list[dict[str, Any]], options: argparse.Namespace) -> None:
+def run(faults: list[dict[str, Any]], results: list[dict[str, Any]], options: argparse.Namespace) -> None:
     """Plant faults and append each result to the file of results."""
-    tests_of = Map(options.folder)
-    trees = [copy_tree(options.folder / f"tree{i}") for i in range(options.workers)]
-    for package in IMPORTED:
-        with contextlib.suppress(ImportError):
-            import_module(package)
+    trees = [Tree(options.folder / str(i), options) for i in range(options.workers)]
 
     def plant(fault: dict[str, Any]) -> None:
-        few, others = tests_of.tests(fault)
-        tests = few + others if options.survivors else few or others[:100]
-        if not tests:
-            print(f"no test runs {fault['file']}:{fault['line']}", flush=True)
-            return
         tree = trees.pop()
         try:
-            fault = fault | {"caught": is_caught(fault, tree, tests, options.seconds)}
+            fault = fault | {"caught": tree.catcher(fault, closest_tests(fault, results, options.files))}
         finally:
             trees.append(tree)
         print(describe(fault), flush=True)
+        results.append(fault)
         with (options.folder / "results.jsonl").open("a") as output:
             output.write(json.dumps(fault) + "\n")
 
@@ -340,48 +242,40 @@ def run(faults: list[dict[str, Any]], options: argparse.Namespace) -> None:
         list(pool.map(plant, faults))
 
 
+def describe(fault: dict[str, Any]) -> str:
+    """Return a line about a fault."""
+    change = f"{fault['file']}:{fault['line']}: {fault['old'].strip()} -> {fault['new'].strip()}"
+    return f"{fault['key']} {change}  {fault['caught'] or 'SURVIVES'}"
+
+
 def main() -> None:
     """Run one step of the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("step", choices=["map", "run", "list"])
-    parser.add_argument("tests", nargs="*", help="folders and files to map besides; none: all anew")
+    parser.add_argument("step", choices=["run", "list"])
     parser.add_argument("--number", type=int, default=240, help="faults, an equal share in each group")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--files", type=int, default=12, help="test files to run for a fault")
     parser.add_argument("--seconds", type=float, default=300, help="the longest time for one fault")
     parser.add_argument("--folder", type=Path, default=ROOT / "build/faults", help="where copies and results are kept")
+    parser.add_argument("--again", action="store_true", help="plant those again that survived")
     parser.add_argument("--compiled", action="store_true", help="with compiled kernels: for the last survivors")
-    parser.add_argument("--survivors", action="store_true", help="plant those again, with all tests of their files")
     options = parser.parse_args()
-    options.folder = options.folder.resolve()
     options.folder.mkdir(parents=True, exist_ok=True)
-    if not options.compiled:
-        os.environ |= {"SPM_PIN_THREADS": "1", "SPM_PIN_KERNELS": "interpreted", "NUMBA_DISABLE_JIT": "1"}
-    if options.step == "map":
-        return make_map(options.folder, options.workers, options.tests)
-    results = options.folder / "results.jsonl"
-    known = {key(fault): fault for fault in map(json.loads, results.open() if results.exists() else ())}
-    faults = sample(options.number, options.seed)
+    options.folder = options.folder.resolve()
+    path = options.folder / "results.jsonl"
+    results = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+    known = {fault["key"]: fault for fault in results}
+    equivalent = {line.split()[0] for line in EQUIVALENT.read_text().splitlines()}
+    faults = [fault for fault in sample(options.number, options.seed) if fault["key"] not in equivalent]
+    survivors = [fault for fault in faults if not known.get(fault["key"], {"caught": True})["caught"]]
     if options.step == "run":
-        survivors = [fault for fault in faults if not known.get(key(fault), {"caught": True})["caught"]]
-        return run(survivors if options.survivors else [f for f in faults if key(f) not in known], options)
-    ran = [known[key(fault)] for fault in faults if key(fault) in known]
-    for fault in ran:
-        if not fault["caught"]:
-            print(describe(fault))
-    print(f"{sum(bool(fault['caught']) for fault in ran)} of {len(ran)} faults are caught")
+        return run(survivors if options.again else [f for f in faults if f["key"] not in known], results, options)
+    for fault in survivors:
+        print(describe(fault | {"caught": ""}))
+    planted = sum(fault["key"] in known for fault in faults)
+    print(f"{planted - len(survivors)} of {planted} faults are caught; {options.number - len(faults)} are equivalent")
     return None
-
-
-def key(fault: dict[str, Any]) -> tuple[Any, ...]:
-    """Return what tells a fault from all others."""
-    return fault["file"], fault["at"], fault["new"]
-
-
-def describe(fault: dict[str, Any]) -> str:
-    """Return a line about a fault."""
-    place = f"{fault['file']}:{fault['line']}: {fault['kind']} {fault['old']!r} -> {fault['new']!r}"
-    return f"{place}  {fault.get('caught') or 'SURVIVES'}"
 
 
 if __name__ == "__main__":

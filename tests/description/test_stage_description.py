@@ -294,6 +294,7 @@ def test_a_ball_lies_on_a_level_plate_and_rolls_to_where_a_tilted_one_is_low() -
     for name, state in states.items():
         mujoco.mj_resetDataKeyframe(model, data, model.key(name).id)
         mujoco.mj_forward(model, data)
+        np.testing.assert_array_equal(model.key(name).qpos[-4:], [1.0, 0.0, 0.0, 0.0])
         start = data.body("ball").xpos.copy()
         assert (start - state.translation) @ state.normal == pytest.approx(0.2 * 0.09 + 0.02)
         for _ in range(300):

@@ -83,3 +83,17 @@ def test_modes_of_a_machine_as_built_are_a_set_like_any_other() -> None:
     far = spm.forward_displacement(machine, [50.0] * 6)
     assert far.status is spm.Status.UNSOLVED
     assert not far.exists.any()
+
+
+def test_labels_that_are_left_over_say_mode_and_side() -> None:
+    """With large errors nominal modes have met, and others have begun: neither has a label by being followed."""
+    machine = PAPER.perturbed(3, length=0.03, angle=0.03)
+    lengths = np.array([1.096, 1.508, 1.483, 1.182, 1.532, 1.082])
+    modes = spm.forward_displacement(machine, lengths + machine.legs.offsets)
+    assert modes.count == 32
+    for label in np.array(modes.labels)[modes.exists]:
+        state = modes[str(label)]
+        lower, upper = state.middle_joints, (state.middle_joints - state.translation) @ state.rotation
+        for name, balls, up in zip(label.split("/"), (lower, upper), (1.0, -1.0), strict=True):
+            assert (name[0] == "T") == ((balls * PAPER.radial_directions).sum() > 0.0)
+            assert (name[-1] == "+") == (up * balls[:, 2].mean() > 0.0)

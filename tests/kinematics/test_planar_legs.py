@@ -17,6 +17,7 @@ from problems import Array
 from scipy.optimize import fsolve
 
 import spm_pin as spm
+from spm_pin.formulas import planar_legs
 from spm_pin.formulas.operations import ARRAYS, bind
 from spm_pin.formulas.planar_legs import LegPlane, place_in_plane
 from spm_pin.kinematics import compliance, determinant_gradients, platform_jacobian
@@ -55,6 +56,24 @@ def test_a_reading_is_where_another_method_finds_the_joint_between_the_links(kin
 
     (found,) = fsolve(gaps, [reading + 0.05], xtol=1e-13)
     assert found == pytest.approx(reading, abs=1e-11)
+
+
+@pytest.mark.parametrize("kind", SIGNS, ids=repr)
+def test_rates_of_a_leg_are_differences_of_its_state(kind: Any) -> None:
+    numbers, (x, z), (vx, vz) = tuple(kind.numbers[0].tolist()), BALL, (0.6, -0.8)
+
+    def state_at(t: float) -> planar_legs.LegState:
+        state = {RPS: planar_legs.rps_state, PRS: planar_legs.prs_state}.get(type(kind))
+        place = x + t * vx, z + t * vz
+        return state(*place, numbers) if state else planar_legs.rrs_state(*place, 1.6, numbers)
+
+    def values(state: planar_legs.LegState) -> Array:
+        return np.array([state.reading, np.arctan2(*state.direction), state.room.distance])
+
+    state = state_at(0.0)
+    assert np.hypot(*state.direction) == pytest.approx(1.0, abs=1e-15)
+    found = planar_legs.leg_rates(state, vx, vz)
+    np.testing.assert_allclose(found, (values(state_at(1e-6)) - values(state_at(-1e-6))) / 2e-6, atol=1e-9)
 
 
 @pytest.mark.parametrize("kind", SIGNS, ids=repr)

@@ -38,6 +38,9 @@ def test_a_tilt_an_azimuth_and_roll_and_pitch_mean_what_scipy_means() -> None:
     np.testing.assert_allclose([state.roll, state.pitch], [0.1, -0.15], atol=1e-15)
     leaning = spm.inverse_physical(BALANCER, 0.12, tilt=0.2, azimuth=np.pi / 2)
     np.testing.assert_allclose([leaning.tilt, leaning.azimuth], [0.2, np.pi / 2])
+    backward = spm.inverse_physical(BALANCER, 0.12, tilt=0.2, azimuth=-2.0)
+    np.testing.assert_allclose([backward.tilt, backward.azimuth], [0.2, -2.0])
+    assert spm.inverse_physical(BALANCER, 0.12, pitch=-0.1).azimuth == np.pi
     lowest = leaning.balls[:, 2].argmin()
     assert lowest == 1, "leg 2 stands at 90°, where the platform is lowest"
     assert leaning.readings[1] < leaning.readings[[0, 2]].min()

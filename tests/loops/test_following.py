@@ -212,6 +212,7 @@ def test_singular_start_is_said() -> None:
     with pytest.raises(ClosureError) as caught:
         flat.forward([0.1], flat.q0)
     assert "coupler" in caught.value.cause
+    assert caught.value.iterations == 0
     q = flat.forward([1.0], flat.close([0.5, -0.5, 0.5]))
     assert_allclose(q, [1.0, -1.0, 1.0], atol=1e-14)
 

@@ -169,10 +169,14 @@ def test_a_batch_is_its_members_and_says_which_fail() -> None:
     q, v = map(np.array, zip(*states("ankle"), strict=True))
     tau = rng.normal(size=(3, 1, 2))
     batch = chain.state(q, v)
-    a = batch.forward_dynamics(tau)
+    a, frame = batch.forward_dynamics(tau), chain.model.frames[-1].name
+    twists, accelerations = batch.twist(frame), batch.frame_acceleration(frame, a)
     assert a.shape == (3, 4, 8)
     for i, j in np.ndindex(3, 4):
+        assert np.array_equal(twists[j], chain.state(q[j], v[j]).twist(frame))
+        assert np.array_equal(accelerations[i, j], chain.state(q[j], v[j]).frame_acceleration(frame, a[i, j]))
         assert np.array_equal(a[i, j], chain.state(q[j], v[j]).forward_dynamics(tau[i, 0]))
+    assert np.array_equal(a[:, 0], chain.state(q[0], v[0]).forward_dynamics(tau[:, 0]))
     q[2, 0] += 0.1
     batch.update(q, v)
     assert np.isnan(batch.forward_dynamics(tau[0])[2]).all()

@@ -37,6 +37,15 @@ def test_the_constraint_jacobian_is_the_derivative_of_the_gap(name: str) -> None
     assert np.abs(chain.state(q).constraint_jacobian() - expected).max() <= 1e-9
 
 
+def test_joint_values_and_velocities_of_a_state_are_copies() -> None:
+    chain = mechanism(DRIVEN[0])
+    state = chain.state(chain.close(), np.ones(chain.model.nv))
+    for array in (state.q, state.v):
+        array[:] = np.nan
+    assert np.isfinite(state.q).all()
+    np.testing.assert_array_equal(state.v, 1.0)
+
+
 @pytest.mark.parametrize("name", DRIVEN)
 def test_joint_rates_are_differences_of_closed_configurations(name: str) -> None:
     chain, rng = mechanism(name), np.random.default_rng(11)

@@ -108,6 +108,7 @@ def test_a_compiled_model_and_a_file_are_read_as_their_text(robot: RobotDescript
     file.write_text(EVERYTHING, encoding="utf-8")
     compiled = mujoco.MjModel.from_xml_string(EVERYTHING)
     assert read_mjcf(file).model == read_mjcf(str(file)).model == read_mjcf(compiled).model == robot.model
+    np.testing.assert_array_equal(compiled.key_qpos, mujoco.MjModel.from_xml_string(EVERYTHING).key_qpos)
 
 
 def test_places_gaps_and_masses_are_those_of_mujoco(robot: RobotDescription) -> None:

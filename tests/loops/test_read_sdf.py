@@ -138,6 +138,7 @@ def test_a_hinge_closes_about_its_axis_and_a_slide_is_kept_in_the_tree() -> None
         ("<axis><xyz expressed_in='base'>1 0 0</xyz></axis>", "1.9", [0.0, -1.0, 0.0]),
         ("<axis><xyz>1 0 0</xyz><use_parent_model_frame>1</use_parent_model_frame></axis>", "1.6", [1.0, 0.0, 0.0]),
         ("<axis><xyz>1 0 0</xyz></axis>", "1.4", [1.0, 0.0, 0.0]),
+        ("<axis><xyz>1 0 0</xyz></axis>", "latest", [0.0, 1.0, 0.0]),
         ("<pose>0 0 0 0 0 1.5707963267948966</pose><axis><xyz>1 0 0</xyz></axis>", "1.9", [-1.0, 0.0, 0.0]),
         ("<pose degrees='true'>0 0 0 0 0 90</pose><axis><xyz>1 0 0</xyz></axis>", "1.9", [-1.0, 0.0, 0.0]),
         ("<pose relative_to='base'/><axis><xyz>1 0 0</xyz></axis>", "1.9", [0.0, -1.0, 0.0]),
@@ -178,6 +179,8 @@ def test_floating_and_static_models_frames_limits_and_motors() -> None:
     assert (robot.model.lowerPositionLimit[turn.idx_q], robot.model.upperPositionLimit[turn.idx_q]) == (-1.0, np.inf)
     assert (robot.model.upperEffortLimit[turn.idx_v], robot.model.upperVelocityLimit[turn.idx_v]) == (5.0, np.inf)
     assert robot.model.damping[turn.idx_v] == 0.2
+    unlimited = robot.model.joints[robot.model.getJointId("u_1")].idx_q
+    assert (robot.model.lowerPositionLimit[unlimited], robot.model.upperPositionLimit[unlimited]) == (-np.inf, np.inf)
     fixed = read_sdf(model(joints + frame, above=pose + "<static>true</static>", **POSES))
     assert list(fixed.model.names) == ["universe", "turn", "u_1", "u_2"]
     np.testing.assert_allclose(places(fixed)["rocker"].translation, [1.4, 2.0, 3.0])

@@ -84,9 +84,24 @@ def test_trees_of_published_robots_are_pinocchios(path: str) -> None:
 
 
 def test_a_joint_without_axis_and_limits_has_the_defaults_of_urdf() -> None:
-    joint = '<parent link="a"/><child link="b"/><limit effort="3" velocity="4"/>'
+    joint = '<parent link="a"/><child link="b"/><limit effort="3" velocity="4"/><dynamics damping="2"/>'
     text = f'<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="revolute">{joint}</joint></robot>'
     assert_same_tree(read_urdf(text).model, pin.buildModelFromXML(text))
+
+
+def test_moments_that_no_body_has_are_kept_as_pinocchio_keeps_them() -> None:
+    moments = '<inertia ixx="-1" ixy="0.1" ixz="0.2" iyy="2" iyz="0.3" izz="2.5"/>'
+    inertial = f'<inertial><origin xyz="0.1 0.2 0.3" rpy="0 0 0.1"/><mass value="2"/>{moments}</inertial>'
+    joint = (
+        '<joint name="j" type="revolute"><parent link="a"/><child link="b"/><limit effort="3" velocity="4"/></joint>'
+    )
+    text = f'<robot name="r"><link name="a"/><link name="b">{inertial}</link>{joint}</robot>'
+    assert_same_tree(read_urdf(text).model, pin.buildModelFromXML(text))
+
+
+def test_a_mimic_without_numbers_has_the_value_of_its_joint() -> None:
+    text = LINKAGE.replace(' multiplier="0.5" offset="0.1"', "")
+    assert read_urdf(text).equalities == (JointEquality("follow", "turn", (0.0, 1.0)),)
 
 
 def test_loops_of_this_robot_are_read_from_its_yaml_and_from_drakes_tags() -> None:
@@ -142,12 +157,13 @@ def test_closures_given_replace_those_of_the_file() -> None:
     assert read_urdf(LINKAGE, [mine]).closures == (mine,)
 
 
-def test_configurations_of_an_srdf(tmp_path: Path) -> None:
+def test_configurations_of_an_srdf(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "robot.srdf"
     values = '<joint name="elbow" value="0.5"/><joint name="gone" value="1"/>'
     state = f'<group_state name="up" group="all">{values}</group_state>'
     file.write_text(f'<robot name="linkage"><group name="all"/>{state}</robot>', encoding="utf-8")
     robot = read_urdf(LINKAGE, srdf=file)
+    assert capfd.readouterr() == ("", "")
     np.testing.assert_array_equal(robot.configurations["up"], [0.0, 0.0, 0.5])
     np.testing.assert_array_equal(robot.q0, [0.0, 0.0, 0.5])
     chain = ClosedChain.from_urdf(LINKAGE, free_base=True, actuated=["elbow"], srdf=file, held=["turn"])

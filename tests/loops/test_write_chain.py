@@ -148,6 +148,19 @@ def test_a_chain_that_is_read_again_is_the_same(
             assert followers[1] == pytest.approx(followers[0], abs=1e-12)
 
 
+def test_points_of_a_planar_loop_are_written_to_mjcf_where_they_meet() -> None:
+    """In the chain they may be apart along the normal."""
+    robot = linkage()
+    planar = robot.closures[2]
+    apart = Anchor(planar.second.frame, planar.second.placement * place((0.0, 0.0, 0.2)))
+    again = by_mjcf(robot._replace(closures=(Closure("planar", planar.first, apart, "planar"),)))
+    (closure,) = again.closures
+    poses = world_poses(again, {})
+    first, second = (poses[a.frame] * a.placement for a in (closure.first, closure.second))
+    np.testing.assert_allclose(first.translation, second.translation, atol=1e-12)
+    np.testing.assert_allclose(second.translation, (world_poses(robot, {})["d"] * apart.placement).translation)
+
+
 def test_mujoco_sees_the_loops_closed_at_q0_and_the_masses() -> None:
     chain = ClosedChain.from_description(this_robot())
     q = chain.close(np.random.default_rng(0).normal(scale=0.05, size=18))

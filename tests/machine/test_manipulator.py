@@ -52,8 +52,11 @@ def test_limits_contain_their_bounds_and_measure_the_margin() -> None:
     assert limits.contains([by_rounding, beyond]).tolist() == [True, False]
     assert limits.margin([by_rounding, beyond]).round(12).tolist() == [0.0, -3e-8]
     assert limits.excess(by_rounding).tolist() == [0.0] * 6
-    assert spm.LegLimits(1.0, np.inf).contains(np.full(6, 1.0 - 1e-9))
-    assert not spm.LegLimits(1.0, np.inf).contains(np.full(6, 1.0 - 1e-7))
+    longer, lower = spm.LegLimits(1e-2, np.inf), spm.machine.StageLimits(-np.inf, 1e-2)
+    for limits, sign in ((longer, -1.0), (lower, 1.0)):
+        end = np.full(len(limits.minimum), 1e-2)
+        assert limits.contains(end + sign * 1e-11)
+        assert not limits.contains(end + sign * 1e-9)
 
 
 @pytest.mark.parametrize(
