@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from balancers import MACHINES, STAGES, stage_and_height
+from balancers import MACHINES, STAGES, forward_determinants, stage_and_height
 
 import spm_pin as spm
 from spm_pin.errors import ArgumentError, GeometryError, UnreachableError
@@ -18,16 +18,6 @@ def two_states(stage: spm.Stage, height: float) -> tuple[StageConfiguration, Sta
         spm.inverse_physical(stage, height, tilt=0.1, azimuth=0.5),
         spm.inverse_physical(stage, 1.02 * height, tilt=0.15, azimuth=-2.0),
     )
-
-
-def determinants(states: StageConfiguration) -> np.ndarray:
-    """Return the determinants of the six forces about {B}'s origin, over d³, with the sign of home."""
-    vectors = states.leg_vectors
-    legs = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-    axes = np.broadcast_to(states.stage.legs.axes, legs.shape)
-    rows = [np.concatenate([f, np.cross(states.balls, f)], axis=-1) for f in (legs, axes)]
-    values = np.linalg.det(np.concatenate(rows, axis=-2))
-    return states.stage.kind.up * values / (np.sqrt(3.0) * states.stage.platform_radius) ** 3
 
 
 @pytest.mark.parametrize("machine", MACHINES)
@@ -44,7 +34,7 @@ def test_a_line_of_readings_leads_from_one_state_to_the_other(machine: str) -> N
     # One mode: no jump, and no change of the determinant's sign.
     steps = np.linalg.norm(np.diff(states.balls, axis=0), axis=-1)
     assert steps.max() < 3.0 * np.linalg.norm(goal.balls - start.balls, axis=-1).max() / 400
-    values = determinants(states)
+    values = forward_determinants(states)
     assert values.min() > 0.0
     assert plan.margin == pytest.approx(values.min(), rel=1e-3)
 
@@ -59,7 +49,7 @@ def test_a_line_of_tilts_and_heights_leads_from_one_state_to_the_other(machine: 
     np.testing.assert_allclose(states.height, np.linspace(start.height, goal.height, 101), atol=1e-12)
     turns = np.linalg.norm(np.cross(states.normal[:-1], states.normal[1:]), axis=-1)
     np.testing.assert_allclose(turns, turns.mean(), rtol=2e-2)
-    assert determinants(states).min() > 0.0
+    assert forward_determinants(states).min() > 0.0
 
 
 @pytest.mark.parametrize("name", ["RPS", "PRS", "RRS"])
@@ -84,11 +74,11 @@ def test_a_way_around_keeps_the_margin_that_the_line_breaks() -> None:
     stage, margin = STAGES["PRS"], 0.5955
     ends = [[0.33352063, 0.15050152, 0.24565498], [0.22296916, 0.14067669, 0.34291781]]
     line = spm.forward_physical(stage, np.linspace(*ends, 300))
-    assert determinants(line).min() < margin < determinants(line)[[0, -1]].min()
+    assert forward_determinants(line).min() < margin < forward_determinants(line)[[0, -1]].min()
     plan = spm.plan(stage, *ends, margin=margin)
     assert plan.method == "around"
     assert "a forward singularity is near" in plan.reason
-    assert determinants(plan.configurations(300)).min() > margin - 1e-3
+    assert forward_determinants(plan.configurations(300)).min() > margin - 1e-3
 
 
 def test_joints_and_distances_of_legs_are_rules() -> None:
