@@ -29,26 +29,6 @@ def random_targets(count, seed=3):
     return [moved(START.pose, rng.normal(0.0, 0.3, 3), rng.normal(0.0, 0.3, 3)) for _ in range(count)]
 
 
-@pytest.mark.parametrize(
-    ("machine", "near"),
-    [(PAPER, START), (PAPER, None), (BUILT, None)],
-    ids=["from a state", "from the sample", "as built"],
-)
-def test_nothing_within_the_limits_is_nearer(machine, near):
-    rng = np.random.default_rng(3)
-    nearer = []
-    for target in random_targets(6):
-        found = nearest_reachable_pose(machine, target, near=near)
-        readings = found.configuration.readings
-        assert PAPER.limits.margin(readings) >= -1e-12
-        # The same mode all over the box: any readings will do, near to the result and far away.
-        steps = rng.normal(0.0, 1.0, (500, 6)) * np.geomspace(1e-4, 0.3, 500)[:, None]
-        others = spm.forward_physical(machine, np.clip(readings + steps, 1.1, 1.5))
-        assert others.exists.all()
-        nearer.append(found.distance - pose_distance(machine, others.pose, target).min())
-    assert max(nearer) < 2e-5
-
-
 @pytest.mark.parametrize("family", spm.machine.FAMILIES)
 def test_without_limits_the_branch_is_real_and_nothing_found_at_random_is_nearer(family):
     rng = np.random.default_rng(spm.machine.FAMILIES.index(family))

@@ -166,41 +166,7 @@ def test_a_sample_of_poses_is_uniform_in_pose_space() -> None:
     assert hits[0] / np.sum(hits) == pytest.approx(expected[0], abs=4.0 * error)
 
 
-@pytest.mark.parametrize("space", ["legs", "poses"])
-def test_random_states_of_a_machine_as_built(space: str) -> None:
-    states = sample_reachable(BUILT, 300, space=space, rng=1)  # type: ignore[arg-type]
-    assert states.machine == BUILT
-    assert states.closure_residual.max() < 1e-13
-    assert spm.LegLimits(1.1 - 1e-12, 1.5 + 1e-12).contains(states.readings).all()
-    assert physical(states).all()
-    again = spm.forward_physical(BUILT, states.readings)
-    np.testing.assert_allclose(again.translation, states.translation, atol=1e-9)
-    assert reachable(BUILT, states.pose).reachable.mean() > 0.99
-
-
 # --- Limits of passive joints, and the distance between legs ---------------------------------------------------------
-
-
-@pytest.mark.parametrize("machine", [PAPER, BUILT], ids=["as drawn", "as built"])
-def test_clearance_is_the_least_distance_of_two_legs_without_a_common_joint(machine: spm.Manipulator) -> None:
-    states = spm.forward_physical(machine, in_leg_space(PAPER, 6, 3).configuration.leg_lengths)
-    found = leg_clearance(states)
-    for k in range(6):
-        state = states[k]
-        starts = np.concatenate([machine.legs.pivots[:3], state.balls[3:]])
-        squares = []
-        for i, j in itertools.combinations(range(6), 2):
-            if j == i + 3:
-                continue
-            start, u, v = starts[i] - starts[j], state.leg_vectors[i], state.leg_vectors[j]
-
-            def gap(share: np.ndarray, start: np.ndarray = start, u: np.ndarray = u, v: np.ndarray = v) -> float:
-                return float(((start + share[0] * u - share[1] * v) ** 2).sum())
-
-            # A convex function on a square: any start leads to the minimum.
-            answer = minimize(gap, [0.5, 0.5], bounds=[(0, 1), (0, 1)], method="L-BFGS-B", options={"ftol": 1e-15})
-            squares.append(answer.fun)
-        assert found[k] == pytest.approx(np.sqrt(min(squares)), abs=1e-6)
 
 
 def test_crossed_legs_touch() -> None:
