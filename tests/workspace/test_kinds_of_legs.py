@@ -40,7 +40,7 @@ def within(machine: spm.Manipulator) -> StateSet:
 
 
 def random_states(machine: spm.Manipulator, count: int, seed: int) -> spm.Configuration:
-    """Return states at readings drawn uniformly, which no search has seen; of a quarter half of the legs are at limits."""
+    """Return states at readings drawn uniformly, which no search has seen; some have legs at limits."""
     assert machine.limits is not None
     rng = np.random.default_rng(seed)
     share = rng.uniform(size=(60 * count, 6))

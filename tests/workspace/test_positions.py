@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 from spm_pin.crosscheck.paper_shell import sample_positions_near_limits
-from spm_pin.kinematics.kernels import RESOLUTION
 from spm_pin.workspace import reachable_position
 from spm_pin.workspace.search import nearest_points, start_table
 from spm_pin.workspace.states import states_within

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 import pytest
 from problems import PAPER, in_leg_space, random_branches
-from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from problems import MANIPULATORS, PAPER
+from problems import PAPER
 
 import spm_pin as spm
 from spm_pin.machine.branch_of_state import FAMILIES, family, physical
