@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from error_fields import with_fields
 from problems import EXAMPLE, PAPER, as_built, at_discriminant, in_leg_space, random_branches
 from scipy.optimize import brentq
 from scipy.spatial.transform import RigidTransform, Rotation, Slerp
@@ -34,7 +35,7 @@ def of_kind(found: FollowedPath, kind: EventKind) -> list[float]:
     return [event.parameter for event in found.events if event.kind is kind]
 
 
-@pytest.mark.parametrize(("points", "seed"), [*((3, seed) for seed in range(6)), (2, 103)])
+@pytest.mark.parametrize(("points", "seed"), [*((3, seed) for seed in range(3)), (2, 103)])
 def test_along_poses_a_solution_keeps_its_label(points: int, seed: int) -> None:
     """Labels are continuous up to a fold; another branch that is only near, as in the last case, is not taken."""
     problem = in_leg_space(PAPER, points, seed=seed)
@@ -49,7 +50,7 @@ def test_along_poses_a_solution_keeps_its_label(points: int, seed: int) -> None:
     assert moves.max() <= 0.1 * PAPER.middle_side
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_sign_changes_are_those_of_a_dense_sample(seed: int) -> None:
     problem = in_leg_space(PAPER, 2, seed=100 + seed)
     first, last = problem.pose[0], problem.pose[1]
@@ -227,21 +228,17 @@ def test_a_callable_and_its_samples_are_the_same_path() -> None:
 
 
 @pytest.mark.parametrize(
-    ("path", "start", "words"),
+    ("path", "start", "argument"),
     [
-        (stacked(EXAMPLE, EXAMPLE), "FT+", "start: expected the label of a solution that is real"),
-        (stacked(EXAMPLE), None, "path: expected a callable, or at least two poses"),
-        (np.zeros((4, 5)), None, "path: expected real numbers of shape .* readings of the legs in metres, or poses"),
-        (np.zeros(6), None, "path: expected a callable, or at least two poses"),
-        (
-            stacked(spm.pose([9, 9, 9], rotation=EXAMPLE.rotation), EXAMPLE),
-            None,
-            "start: expected a solution that exists",
-        ),
+        (stacked(EXAMPLE, EXAMPLE), "FT+", "start"),
+        (stacked(EXAMPLE), None, "path"),
+        (np.zeros((4, 5)), None, "path"),
+        (np.zeros(6), None, "path"),
+        (stacked(spm.pose([9, 9, 9], rotation=EXAMPLE.rotation), EXAMPLE), None, "start"),
     ],
 )
-def test_invalid_paths_are_refused(path: object, start: str | None, words: str) -> None:
-    with pytest.raises(spm.ArgumentError, match=words):
+def test_invalid_paths_are_refused(path: object, start: str | None, argument: str) -> None:
+    with pytest.raises(spm.ArgumentError, check=with_fields(argument=argument)):
         follow(PAPER, path, start)  # type: ignore[arg-type]
 
 
@@ -260,14 +257,6 @@ def test_the_share_of_a_line_in_the_home_mode_is_that_of_the_followed_path() -> 
     assert [share == 1.0 for share in shares] == [True] + 7 * [False]
     finer = existing_share(functools.partial(spm.forward_physical, FREE), start.leg_lengths, ends, parts=64, rounds=2)
     np.testing.assert_allclose(finer, shares, atol=4e-4)
-
-
-def test_another_mode_is_followed_along_a_line_to_its_end() -> None:
-    start = spm.inverse_displacement(FREE, EXAMPLE)["FF+"]
-    end = np.array([0.2, 3.0, 0.2, 1.3, 1.3, 1.31])
-    last, share = last_on_line(start, end)
-    assert 0.0 < share < 1.0
-    np.testing.assert_allclose(last.leg_lengths, start.leg_lengths + share * (end - start.leg_lengths), atol=1e-9)
 
 
 def test_a_followed_path_is_shown_by_its_events() -> None:
