@@ -65,29 +65,6 @@ def test_vanishing_errors_lead_to_the_nominal_branches_under_their_labels(name: 
     assert errors[1] / errors[0] == pytest.approx(100.0, rel=0.05)
 
 
-def test_readings_are_distances_from_pivots_to_balls_and_offsets() -> None:
-    built = as_built(PAPER, 5e-3, seed=3)
-    pose = in_leg_space(PAPER, 40, seed=3).pose
-    solutions = spm.inverse_displacement(built, pose)
-    states = solutions.configurations[solutions.exists]
-    rotation, position = states.rotation, states.translation
-    middle = states.middle_pose
-    for i in range(6):
-        ball = middle.apply(built.legs.balls[i])
-        pivot, axis = built.legs.pivots[i], built.legs.axes[i]
-        if i >= 3:
-            pivot, axis = rotation @ pivot + position, rotation @ axis
-        np.testing.assert_allclose(states.balls[:, i], ball, atol=1e-13)
-        np.testing.assert_allclose(((ball - pivot) * axis).sum(axis=-1), 0.0, atol=1e-13)
-        reading = np.linalg.norm(ball - pivot, axis=-1) + built.legs.offsets[i]
-        np.testing.assert_allclose(states.readings[:, i], reading, atol=1e-13)
-    again = spm.Configuration(built, states.pose, states.middle_joints)
-    np.testing.assert_allclose(again.leg_lengths, states.leg_lengths, atol=1e-13)
-    assert (again.closure_residual <= 1e-13).all()
-    moved = spm.Configuration(built, states.pose, states.middle_joints + np.array([1e-3, 0.0, 0.0]))
-    assert (moved.closure_residual > 1e-4).all()
-
-
 def test_labels_are_continuous_in_the_errors_until_branches_meet() -> None:
     """Followed in small steps by nearness alone, every branch keeps its label until the two of a pair vanish."""
     pose = in_leg_space(PAPER, 30, seed=5).pose

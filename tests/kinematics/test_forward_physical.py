@@ -8,11 +8,8 @@ from error_fields import with_fields
 from problems import MANIPULATORS, PAPER, as_built, distance, in_leg_space, random_branches
 from scipy.integrate import solve_ivp
 from stage_cases import cases
-from stages import solve_stage
 
 import spm_pin as spm
-from spm_pin.formulas import stages, wrenches
-from spm_pin.formulas.operations import on_arrays, rows_of
 from spm_pin.kinematics.forward_displacement import forward_displacement, forward_physical
 
 RADIAL = PAPER.radial_directions
@@ -127,16 +124,6 @@ def follow_adaptively(seed: spm.Configuration, end: np.ndarray) -> tuple[np.ndar
 # --- From home ----------------------------------------------------------------------------------------------------
 
 
-def test_the_physical_configuration_is_the_one_continued_from_home() -> None:
-    lengths = np.random.default_rng(5).uniform(1.1, 1.5, (2_000, 6))
-    state = forward_physical(PAPER, lengths)
-    assert state.exists.all()
-    joints, whole = continued_from_home(PAPER, lengths, steps=40)
-    assert whole.all()
-    np.testing.assert_allclose(stage_joints(state), joints, rtol=0, atol=1e-11)
-    assert spm.determinants(state)[:, :2].min() > 0.0
-
-
 @pytest.mark.parametrize("name", [*MANIPULATORS, "small platforms"])
 def test_far_from_home_the_physical_configuration_is_continued_or_absent(name: str) -> None:
     machine = {**MANIPULATORS, "small platforms": spm.Manipulator(0.05, 0.1, 0.8)}[name]
@@ -153,23 +140,6 @@ def test_far_from_home_the_physical_configuration_is_continued_or_absent(name: s
     assert (state.exists & ~whole).mean() < 0.01
     assert np.isnan(state.rotation[~state.exists]).all()
     assert np.isnan(state.translation[~state.exists]).all()
-
-
-@pytest.mark.parametrize("ratio", [0.05, 0.5, 1.0, 3.0])
-def test_the_home_aspect_holds_one_solution_at_most(ratio: float) -> None:
-    rng = np.random.default_rng(9)
-    size = rng.uniform(0.3, 1.6, (1_500, 1)) * (1.0 + ratio)
-    modes = solve_stage(size * (1.0 + 0.3 * rng.normal(size=(1_500, 3))).clip(0.05), ratio)
-    normals = modes.heights[..., None] * RADIAL - (modes.radii[..., None] - ratio) * UP
-    joints = modes.radii[..., None] * RADIAL + modes.heights[..., None] * UP
-    pairs = on_arrays(wrenches.pairs)(rows_of(joints), rows_of(normals))
-    home = on_arrays(stages.is_home_aspect)(pairs)[:, 0]
-    assert home.sum(axis=-1).max() == 1
-    assert not home[:, 1:].any(), "it is T1"
-    # The determinant's sign alone would let others pass.
-    same_sign = stages.pair_determinant(pairs)[:, 0] > 0.0
-    assert same_sign[home].all()
-    assert (same_sign & ~home).any()
 
 
 # --- From a seed --------------------------------------------------------------------------------------------------

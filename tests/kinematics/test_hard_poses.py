@@ -115,16 +115,6 @@ def test_pure_tilts_and_half_turns() -> None:
             assert solutions.count == certified_counts(pose, PAPER.middle_side, nudge="1e-20")
 
 
-def test_poses_far_out_of_reach() -> None:
-    rng = np.random.default_rng(8)
-    far = rng.normal(size=(100, 3)) * [1e3, 1e3, 10.0]
-    pose = spm.pose(far, rotation=Rotation.random(100, rng=rng))
-    solutions = spm.inverse_displacement(PAPER, pose)
-    np.testing.assert_array_equal(solutions.count, certified_counts(pose, PAPER.middle_side))
-    assert (solutions.status == spm.Status.UNREACHABLE).mean() > 0.98
-    assert np.isnan(solutions.leg_lengths[~solutions.exists]).all()
-
-
 # --- Families of solutions ----------------------------------------------------------------------------------------
 
 
