@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from balancers import STAGES, forward_determinants
+from error_fields import with_fields
 from proofs.machines_within_errors import machine_within, readings_within
 
 import spm_pin as spm
-from spm_pin.errors import ArgumentError, GeometryError
 
 LIMITS = {
     "RPS": (1.07, 1.18),
@@ -89,23 +89,15 @@ def test_the_widest_limits_end_just_before_the_first_singularity(name: str) -> N
 
 
 def test_wrong_arguments_are_named() -> None:
-    stage = STAGES["RRS"]
-    with pytest.raises(GeometryError) as error:
-        spm.certify(stage)
-    assert error.value.argument == "limits"
-    with pytest.raises(GeometryError) as error:
-        spm.certify(stage, spm.LegLimits(0.1, 0.6))
-    assert (error.value.argument, error.value.expected) == ("limits", "StageLimits(minimum, maximum)")
-    with pytest.raises(ArgumentError) as wrong:
-        spm.certify(spm.RPS())  # type: ignore[arg-type]
-    assert wrong.value.argument == "machine"
-    with pytest.raises(ArgumentError) as wrong:
-        spm.largest_certified_limits(stage, [0.1, 0.2])
-    assert wrong.value.argument == "centre"
+    stage, paper = STAGES["RRS"], spm.Manipulator.paper()
     certificate = spm.certify(stage, LIMITS["RRS"])
-    with pytest.raises(ArgumentError) as wrong:
-        certificate.covers(spm.forward_physical(STAGES["PRS"], [0.12] * 3))
-    assert wrong.value.argument == "configuration"
-    with pytest.raises(ArgumentError) as wrong:
-        certificate.covers(spm.forward_physical(spm.Manipulator.paper(), [1.3] * 6))
-    assert wrong.value.argument == "configuration"
+    for argument, call in (
+        ("limits", lambda: spm.certify(stage)),
+        ("limits", lambda: spm.certify(stage, spm.LegLimits(0.1, 0.6))),
+        ("machine", lambda: spm.certify(spm.RPS())),  # type: ignore[arg-type]
+        ("centre", lambda: spm.largest_certified_limits(stage, [0.1, 0.2])),
+        ("configuration", lambda: certificate.covers(spm.forward_physical(STAGES["PRS"], [0.12] * 3))),
+        ("configuration", lambda: certificate.covers(spm.forward_physical(paper, [1.3] * 6))),
+    ):
+        with pytest.raises(spm.ArgumentError, check=with_fields(argument=argument)):
+            call()
