@@ -13,9 +13,9 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import RigidTransform, Rotation, Slerp
 
 import spm_pin as spm
-from spm_pin.kinematics.path_following import existing_share, follow, last_on_line
+from spm_pin.kinematics.path_following import existing_share, follow, last_on_line, watch_of
 from spm_pin.kinematics.singularity_analysis import determinants
-from spm_pin.kinematics.tracking import EventKind, FollowedPath
+from spm_pin.kinematics.tracking import EventKind, FollowedPath, Tracker
 
 FREE = replace(PAPER, limits=None)
 RESOLUTION = 1e-9
@@ -200,6 +200,21 @@ def test_leg_lengths_that_can_no_longer_close_end_the_path() -> None:
     before, after = (spm.forward_physical(PAPER, start + (end + x) * (grown - start)) for x in (-1e-8, 1e-8))
     assert before.exists
     assert not after.exists
+
+
+def test_two_solutions_that_coincide_are_not_followed_forever() -> None:
+    state = in_leg_space(PAPER, 1, seed=0).configuration[0]
+    twice = spm.Configuration(FREE, np.stack([state.pose.as_matrix()] * 2), np.stack([state.middle_joints] * 2))
+    parameters = []
+
+    def solve(s: float) -> spm.SolutionSet:
+        parameters.append(s)
+        return spm.SolutionSet(twice, ("one", "other"), spm.Status.OK)
+
+    tracker = Tracker(watch_of(FREE), solve, solve(0.0), 0, has_legs=False)
+    assert not tracker.advance(1.0)
+    assert "coincides with another" in tracker.events[-1].detail
+    assert len(parameters) < 1_000
 
 
 @pytest.mark.parametrize(
