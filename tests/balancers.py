@@ -47,6 +47,15 @@ def existing_states(stage: spm.Stage, height: float, count: int, seed: int = 0) 
     return states[states.exists]
 
 
+def forward_determinants(states: spm.machine.StageConfiguration) -> npt.NDArray[np.float64]:
+    """Return the determinants of the six forces about {B}'s origin, over d³, with the sign of home."""
+    vectors, axes = states.leg_vectors, states.stage.legs.axes
+    legs = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+    forces = np.concatenate([legs, np.broadcast_to(axes, legs.shape)], axis=-2)
+    rows = np.concatenate([forces, np.cross(np.concatenate([states.balls] * 2, axis=-2), forces)], axis=-1)
+    return states.stage.kind.up * np.linalg.det(rows) / (np.sqrt(3.0) * states.stage.platform_radius) ** 3
+
+
 def equilibrium(state: spm.machine.StageConfiguration) -> npt.NDArray[np.float64]:
     """Return the wrenches (6, 6) at o of the forces along the legs, per unit effort, and across their planes."""
     legs, arms = state.stage.legs, state.balls - state.translation

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+from typing import Any
+
 import numpy as np
-from problems import PAPER
+from problems import PAPER, Array
 
 import spm_pin as spm
 from spm_pin.kinematics import platform_jacobian
@@ -41,3 +44,13 @@ def states(machine: spm.Manipulator, count: int = 60) -> spm.Configuration:
     found = found[found.exists]
     regular = (np.abs(found.slopes) > 0.2 * machine.legs.largest_slopes).all(axis=-1)
     return found[regular & (np.abs(platform_jacobian(found)).max(axis=(-1, -2)) < 20.0)]
+
+
+def sampled_clearance(states: Any, pairs: list[tuple[int, int]]) -> Array:
+    """Return the least distance (N,) of points along two legs, 101 on each link, of these pairs of legs."""
+    corners = np.broadcast_arrays(states.leg_bases, states.circle_centres, states.balls)
+    share = np.linspace(0.0, 1.0, 101)[:, None]
+    links = [p[..., None, :] + share * (q - p)[..., None, :] for p, q in pairwise(corners)]
+    points = np.concatenate(links, axis=-2)
+    gaps = [np.linalg.norm(points[:, i, :, None] - points[:, j, None], axis=-1).min(axis=(1, 2)) for i, j in pairs]
+    return np.min(gaps, axis=0)

@@ -6,7 +6,7 @@ package takes part in making a problem.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -229,21 +229,30 @@ PAPER_TILTS = {
 }
 
 
-def singular_state(
+def singular_path(
     which: int,
     azimuths: tuple[float | None, float | None],
     half_sines: tuple[float | None, float | None],
     heights: tuple[float, float],
     low: float,
     high: float,
-) -> spm.Configuration:
-    """Return the state of the paper's machine at which one of det J_b, det J_c, det K, counted by `which`, vanishes."""
+) -> tuple[Callable[[float], spm.Configuration], float]:
+    """Return states of the paper's machine over the number that is None, and where in between one is singular.
+
+    One of det J_b, det J_c, det K, counted by `which`, vanishes there.
+    """
 
     def at(value: float) -> spm.Configuration:
         parameters = ([value if x is None else x for x in pair] for pair in (azimuths, half_sines, heights))
         return without_torsion(PAPER, *zip(*parameters, strict=True))
 
-    return at(float(brentq(lambda x: spm.determinants(at(x))[which], low, high, xtol=1e-15, rtol=1e-15)))
+    return at, float(brentq(lambda x: spm.determinants(at(x))[which], low, high, xtol=1e-15, rtol=1e-15))
+
+
+def singular_state(which: int, *path: Any) -> spm.Configuration:
+    """Return the singular state of a path."""
+    at, root = singular_path(which, *path)
+    return at(root)
 
 
 def at_end_stops(machine: spm.Manipulator, count: int) -> spm.Configuration:

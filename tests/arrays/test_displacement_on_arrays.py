@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from typing import Any
 
 import array_api_strict as strict
 import numpy as np
 import pytest
 from arrays.array_problems import BUILT, PAPER, random_poses, random_readings
+from error_fields import with_fields
 from kinds_of_legs import PAIRS, states
 from kinds_of_legs import machine_of_kinds as machine_of
 from problems import at_end_stops
@@ -19,7 +19,7 @@ from spm_pin.machine import RRS
 from spm_pin.machine.joint_angles import joint_names, value_names
 
 MACHINES = {"drawn": PAPER, "as built": BUILT}
-COUNTS = (3000, pytest.param(100_000, marks=pytest.mark.slow))
+COUNTS = (2000, pytest.param(50_000, marks=pytest.mark.slow))
 
 
 def parts(pose: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -85,6 +85,8 @@ def test_legs_of_any_kind_are_those_of_the_kernels(lower: str, upper: str, built
         forces, expected = arrays.leg_forces(given, state, wrench), spm.leg_forces(known, wrench)
         assert (np.abs(forces - expected) <= 1e-13 / sigma**3).all()
         np.testing.assert_allclose(arrays.joint_values(given, state), values, rtol=0, atol=1e-12)
+        distances = arrays.singularity_distance(given, state)
+        np.testing.assert_allclose(distances, spm.singularities(known).sigma, rtol=0, atol=1e-12)
     if not built:
         found = arrays.inverse_displacement(machine, known.rotation, known.translation)
         expected = spm.inverse_displacement(machine, known.pose)
@@ -126,19 +128,7 @@ def test_states_at_end_stops_keep_their_branch(name: str) -> None:
     assert apart.mean() <= (0.0 if MACHINES[name].is_nominal else 1e-3)
 
 
-@pytest.mark.parametrize("name", MACHINES)
-def test_a_state_beside_another_is_on_its_branch(name: str) -> None:
-    machine = MACHINES[name]
-    states = arrays.forward_physical(machine, random_readings(500))
-    states = arrays.State(*(x[states.exists] for x in states))
-    moved = arrays.forward_physical(machine, states.readings + 1e-6, near=states)
-    assert moved.exists.all()
-    np.testing.assert_allclose(moved.middle_joints, states.middle_joints, atol=1e-4)
-    back = arrays.inverse_physical(machine, moved.rotation, moved.translation, near=states)
-    well = arrays.singularity_distance(machine, states).min(axis=-1) > 1e-3
-    assert back.exists[well].all()
-    np.testing.assert_allclose(back.readings[well], moved.readings[well], atol=1e-11)
-    # An unphysical branch is followed as well.
+def test_an_unphysical_state_is_followed_on_its_branch() -> None:
     branch = spm.inverse_displacement(PAPER, spm.pose([0.6889, 0.4963, 2.253], xyx=[-0.1934, 0.5754, -0.2248]))["FF+"]
     followed = arrays.inverse_physical(PAPER, branch.rotation, branch.translation, near=branch)
     assert followed.exists
@@ -174,26 +164,18 @@ def test_numbers_that_are_none_or_too_large_have_no_state_and_finite_results() -
         assert all(np.isfinite(function(PAPER, state)).all() for state in states)
 
 
-def test_an_index_is_one_of_the_batch() -> None:
-    states = arrays.forward_physical(PAPER, random_readings(12).reshape(3, 4, 6))
+def test_an_index_is_one_of_the_batch_and_one_problem_has_no_axes() -> None:
+    readings = random_readings(12).reshape(3, 4, 6)
+    states = arrays.forward_physical(PAPER, readings)
     for index in (1, (slice(None), 2), states.exists):
-        chosen = states[index]
-        assert isinstance(chosen, arrays.State)
-        for x, y in zip(chosen, states, strict=True):
+        assert isinstance(states[index], arrays.State)
+        for x, y in zip(states[index], states, strict=True):
             np.testing.assert_array_equal(x, y[index])
-    rotation, *_ = states
-    assert rotation.shape == (3, 4, 3, 3)
-
-
-def test_one_problem_is_a_batch_without_axes() -> None:
-    readings = random_readings(4)
-    one, batch = arrays.forward_physical(PAPER, readings[1]), arrays.forward_physical(PAPER, readings)
-    for x, y in zip(one, batch, strict=True):
-        assert np.array_equal(x, y[1])
+    one = arrays.forward_physical(PAPER, readings[1, 2])
+    for x, y in zip(one, states, strict=True):
+        np.testing.assert_array_equal(x, y[1, 2])
     branches = arrays.inverse_displacement(PAPER, one.rotation, one.translation)
-    assert branches.middle_joints.shape == (8, 3, 3)
-    assert branches.readings.shape == (8, 6)
-    assert branches.exists.shape == (8,)
+    assert [x.shape for x in (branches.middle_joints, branches.readings, branches.exists)] == [(8, 3, 3), (8, 6), (8,)]
 
 
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
@@ -220,7 +202,7 @@ def test_the_kind_of_array_that_comes_in_goes_out(name: str, dtype: str) -> None
 
 @pytest.mark.parametrize("name", MACHINES)
 def test_single_precision_keeps_five_digits_away_from_singularities(name: str) -> None:
-    machine, readings = MACHINES[name], random_readings(20_000)
+    machine, readings = MACHINES[name], random_readings(5_000)
     exact = arrays.forward_physical(machine, readings.astype(np.float32).astype(float))
     single = arrays.forward_physical(machine, readings.astype(np.float32))
     sigma = arrays.singularity_distance(machine, exact).min(axis=-1)
@@ -236,32 +218,22 @@ TORN = STATE._replace(middle_joints=np.ones((2, 3)))
 
 
 @pytest.mark.parametrize(
-    ("function", "arguments", "says"),
+    ("function", "arguments", "argument"),
     [
         (arrays.inverse_physical, (PAPER, np.eye(4), np.zeros(3)), "rotation"),
-        (arrays.inverse_physical, (PAPER, STATE.rotation, strict.asarray(STATE.translation)), "arrays of one library"),
-        (arrays.inverse_physical, (PAPER, STATE.rotation, np.ones((3, 3))), "those of rotation, (2,), got (3,)"),
-        (arrays.inverse_displacement, (BUILT, STATE.rotation, STATE.translation), "a nominal machine"),
-        (
-            arrays.inverse_displacement,
-            (BUILT.parameters, STATE.rotation, STATE.translation),
-            "as parameters always are",
-        ),
-        (arrays.forward_physical, (PAPER, np.ones(6, dtype=int)), "floating-point"),
-        (arrays.forward_physical, (PAPER, np.ones(6, dtype=np.float16)), "dtype float16"),
-        (arrays.forward_physical, (PAPER, np.ones(6, dtype=np.longdouble)), "dtype float128"),
-        (arrays.forward_physical, (np.ones(7), np.ones(6)), "(..., 54)"),
-        (arrays.forward_physical, (PAPER, STATE.readings, TORN), "near.middle_joints: expected shape (..., 3, 3)"),
-        (
-            arrays.forward_physical,
-            (np.array(PAPER.dimensions), strict.asarray(STATE.readings)),
-            "readings is array_api_strict. Convert",
-        ),
+        (arrays.inverse_physical, (PAPER, STATE.rotation, strict.asarray(STATE.translation)), "rotation, translation"),
+        (arrays.inverse_physical, (PAPER, STATE.rotation, np.ones((3, 3))), "translation"),
+        (arrays.inverse_displacement, (BUILT, STATE.rotation, STATE.translation), "machine"),
+        (arrays.inverse_displacement, (BUILT.parameters, STATE.rotation, STATE.translation), "machine"),
+        *((arrays.forward_physical, (PAPER, np.ones(6, x)), "readings") for x in (int, np.float16, np.longdouble)),
+        (arrays.forward_physical, (np.ones(7), np.ones(6)), "machine"),
+        (arrays.forward_physical, (PAPER, STATE.readings, TORN), "near.middle_joints"),
+        (arrays.forward_physical, (np.array(PAPER.dimensions), strict.asarray(STATE.readings)), "machine, readings"),
         (arrays.forward_physical, (PAPER, np.ones(6), np.ones(6)), "near"),
-        (arrays.forward_physical, (PAPER, [1.2] * 6), "Make it one, as by jax.numpy.asarray"),
-        (arrays.forward_physical, ((PAPER, np.ones(60)), np.ones(6)), "the parameters (..., 54) of its legs"),
+        (arrays.forward_physical, (PAPER, [1.2] * 6), "readings"),
+        (arrays.forward_physical, ((PAPER, np.ones(60)), np.ones(6)), "machine"),
     ],
 )
-def test_what_is_wrong_is_named(function: Any, arguments: tuple[Any, ...], says: str) -> None:
-    with pytest.raises(spm.ArgumentError, match=re.escape(says)):
+def test_what_is_wrong_is_named(function: Any, arguments: tuple[Any, ...], argument: str) -> None:
+    with pytest.raises(spm.ArgumentError, check=with_fields(argument=argument)):
         function(*arguments)

@@ -12,6 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 import dask
 import numpy as np
 import pytest
+from error_fields import with_fields
 from problems import PAPER, as_built, in_leg_space, random_branches
 
 import spm_pin as spm
@@ -19,77 +20,49 @@ from spm_pin.kinematics import complex_middle_joints, platform_jacobian, princip
 from spm_pin.kinematics.batches import parallel_for, set_threads, threads
 from spm_pin.kinematics.inverse_displacement import branch_lengths
 
-SHAPES = [(), (1,), (0,), (3, 1, 2)]
+SHAPES = [(), (0,), (3, 1, 2)]
 EPS = np.finfo(float).eps
 
-BRANCHES = {
-    "middle_joints": (8, 3, 3),
-    "rotation": (8, 3, 3),
-    "translation": (8, 3),
-    "leg_lengths": (8, 6),
-    "exists": (8,),
-    "is_physical": (8,),
-    "ambiguous": (),
-    "count": (),
-    "residual": (8,),
-    "status": (),
-    "discriminants": (4,),
-    "merged": (8,),
-}
-MODES = {"middle_joints": (256, 3, 3), "rotation": (256, 3, 3), "translation": (256, 3), "exists": (256,), "status": ()}
-SINGULARITIES = {
-    "determinants": (3,),
-    "scaled_determinants": (3,),
-    "sigma": (3,),
-    "condition": (3,),
-    "rank": (3,),
-    "kind": (),
-    "mobility": (),
-    "gained_twist": (2, 6),
-    "inner_twist": (6,),
-    "lost_wrench": (6,),
-}
-OF_A_STATE = {
-    "inverse_jacobian": (lambda state, vector: spm.inverse_jacobian(state), (6, 6)),
-    "platform_jacobian": (lambda state, vector: platform_jacobian(state), (6, 6)),
-    "leg_rates": (spm.leg_rates, (6,)),
-    "leg_forces": (spm.leg_forces, (6,)),
-    "determinant_gradients": (lambda state, vector: spm.kinematics.determinant_gradients(state), (3, 6)),
-    "compliance": (lambda state, vector: spm.kinematics.compliance(state, 1e7), (6, 6)),
-    "error_jacobian": (lambda state, vector: spm.calibration.error_jacobian(state), (6, 54)),
-    "stiffness": (lambda state, vector: spm.stiffness(state, 1e7), (6, 6)),
-    "principal_stiffness": (
-        lambda state, vector: principal_stiffness(state, 1e7).translational,
-        (3,),
-    ),
+OF_BRANCHES = "middle_joints rotation translation leg_lengths exists is_physical ambiguous count residual status"
+OF_BRANCHES += " discriminants merged"
+OF_MODES = "middle_joints rotation translation exists status"
+OF_SINGULARITIES = "determinants scaled_determinants sigma condition rank kind mobility gained_twist inner_twist"
+OF_SINGULARITIES += " lost_wrench"
+OF_A_STATE: dict[str, Callable[..., np.ndarray]] = {
+    "inverse_jacobian": lambda state, vector: spm.inverse_jacobian(state),
+    "platform_jacobian": lambda state, vector: platform_jacobian(state),
+    "leg_rates": spm.leg_rates,
+    "leg_forces": spm.leg_forces,
+    "determinant_gradients": lambda state, vector: spm.kinematics.determinant_gradients(state),
+    "compliance": lambda state, vector: spm.kinematics.compliance(state, 1e7),
+    "error_jacobian": lambda state, vector: spm.calibration.error_jacobian(state),
+    "stiffness": lambda state, vector: spm.stiffness(state, 1e7),
+    "principal_stiffness": lambda state, vector: principal_stiffness(state, 1e7).translational,
 }
 
 
-def answers(machine: spm.Manipulator, pose: np.ndarray, readings: np.ndarray, vector: np.ndarray) -> dict[str, tuple]:
-    """Return what the functions answer, each with its shape for one member."""
+def answers(machine: spm.Manipulator, pose: np.ndarray, readings: np.ndarray, vector: np.ndarray) -> dict[str, object]:
+    """Return what the functions answer."""
     branches, state = spm.inverse_displacement(machine, pose), spm.forward_physical(machine, readings)
-    found = {name: (getattr(branches, name), shape) for name, shape in BRANCHES.items()}
-    found["complex_middle_joints"] = complex_middle_joints(machine, pose), (8, 3, 3)
+    found = {name: getattr(branches, name) for name in OF_BRANCHES.split()}
+    found["complex_middle_joints"] = complex_middle_joints(machine, pose)
     physical = spm.inverse_physical(machine, pose)
-    found |= {"physical joints": (physical.middle_joints, (3, 3)), "physical lengths": (physical.leg_lengths, (6,))}
-    found |= {"forward joints": (state.middle_joints, (3, 3)), "forward translation": (state.translation, (3,))}
-    for name, (call, shape) in OF_A_STATE.items():
+    found |= {"physical joints": physical.middle_joints, "physical lengths": physical.leg_lengths}
+    found |= {"forward joints": state.middle_joints, "forward translation": state.translation}
+    for name, call in OF_A_STATE.items():
         if state.shape or state.exists:
-            found[name] = call(state, vector), shape
+            found[name] = call(state, vector)
         else:
-            with pytest.raises(spm.ArgumentError, match="a configuration that exists"):
+            with pytest.raises(spm.ArgumentError, check=with_fields(argument="configuration")):
                 call(state, vector)
-            found[name] = np.full(shape, np.nan), shape
-    singular = spm.singularities(state)
-    found |= {name: (getattr(singular, name), shape) for name, shape in SINGULARITIES.items()}
+    found |= {name: getattr(spm.singularities(state), name) for name in OF_SINGULARITIES.split()}
     if machine.is_nominal:
         modes = spm.forward_displacement(machine, readings)
-        found |= {f"mode {name}": (getattr(modes, name), shape) for name, shape in MODES.items()}
-    lengths, status = branch_lengths(machine, pose)
-    found |= {"lengths alone": (lengths, (8, 6)), "status alone": (status, ())}
-    np.testing.assert_array_equal(lengths, branches.leg_lengths)
-    np.testing.assert_array_equal(status, branches.status)
-    return {name: pair for name, pair in found.items() if pair[0] is not None}
+        found |= {f"mode {name}": getattr(modes, name) for name in OF_MODES.split()}
+    found["lengths alone"], found["status alone"] = branch_lengths(machine, pose)
+    np.testing.assert_array_equal(found["lengths alone"], branches.leg_lengths)
+    np.testing.assert_array_equal(found["status alone"], branches.status)
+    return {name: value for name, value in found.items() if value is not None}
 
 
 @pytest.mark.parametrize("machine", [PAPER, as_built(PAPER, 1e-3)], ids=["drawn", "as built"])
@@ -104,44 +77,43 @@ def test_a_batch_is_its_members(shape: tuple[int, ...], machine: spm.Manipulator
     readings[1:2] = [0.3, 1.2, 3.0, 1.2, 1.2, 1.2]
     poses, readings = poses.reshape(*shape, 4, 4), readings.reshape(*shape, 6)
     together = answers(machine, poses, readings, vector)
-    for name, (values, inner) in together.items():
-        assert np.shape(values) == (*shape, *inner), name
+    lengths = np.array([1.25, 1.15, 1.40, 1.30, 1.20, 1.40])
+    single = answers(machine, random_branches(PAPER, "TF", 1, seed=6).pose.as_matrix()[0], lengths, np.ones(6))
+    assert {name: np.shape(x) for name, x in together.items()} == {n: shape + np.shape(x) for n, x in single.items()}
     if count > 3 and machine.is_nominal:
-        status = np.ravel(together["status"][0])
+        status = np.ravel(together["status"])
         assert list(status[[1, 3]]) == [spm.Status.DEGENERATE, spm.Status.UNREACHABLE]
     for index in np.ndindex(shape):
-        for name, (alone, _) in answers(machine, poses[index], readings[index], vector[index]).items():
-            values = np.asarray(together[name][0])[index]
-            if name in OF_A_STATE or name in SINGULARITIES:
+        for name, alone in answers(machine, poses[index], readings[index], vector[index]).items():
+            values = np.asarray(together[name])[index]
+            if name in OF_A_STATE or name in OF_SINGULARITIES.split():
                 np.testing.assert_allclose(alone, values, rtol=1e-12, atol=1e-14, err_msg=name)
             else:
                 np.testing.assert_array_equal(alone, values, err_msg=name)
     exists = spm.forward_physical(machine, readings).exists
     assert count < 2 or not exists.all()
     for name in (*OF_A_STATE, "determinants", "sigma", "lost_wrench"):
-        values, inner = together[name]
-        finite = np.isfinite(values) if name != "lost_wrench" else np.isfinite(values) & exists[..., None]
-        np.testing.assert_array_equal(finite.all(axis=tuple(range(-len(inner), 0))), exists, err_msg=name)
-    assert (np.asarray(together["rank"][0])[~exists] == 0).all()
-    assert (np.asarray(together["kind"][0])[~exists] == spm.kinematics.SingularityKind.REGULAR).all()
-    assert np.isnan(np.asarray(together["lost_wrench"][0])[~exists]).all()
+        values = together[name]
+        finite = np.isfinite(values).all(axis=tuple(range(len(shape), np.ndim(values))))
+        np.testing.assert_array_equal(finite & exists if name == "lost_wrench" else finite, exists, err_msg=name)
+    assert (np.asarray(together["rank"])[~exists] == 0).all()
+    assert (np.asarray(together["kind"])[~exists] == spm.kinematics.SingularityKind.REGULAR).all()
+    assert np.isnan(np.asarray(together["lost_wrench"])[~exists]).all()
 
 
 @pytest.mark.parametrize("machine", [PAPER, as_built(PAPER, 1e-3)], ids=["drawn", "as built"])
-@pytest.mark.parametrize("shape", SHAPES, ids=str)
-def test_a_batch_of_seeds_is_its_members(shape: tuple[int, ...], machine: spm.Manipulator) -> None:
-    lengths = np.random.default_rng(2).uniform(1.15, 1.45, (*shape, 6))
+def test_a_batch_of_seeds_is_its_members(machine: spm.Manipulator) -> None:
+    lengths = np.random.default_rng(2).uniform(1.15, 1.45, (3, 1, 2, 6))
     start, target = spm.forward_physical(machine, lengths), lengths[..., ::-1]
     end = spm.forward_physical(machine, target, near=start)
-    assert end.shape == shape
-    for index in np.ndindex(shape):
-        alone = spm.forward_physical(machine, target[index], near=start[index] if shape else start)
+    for index in np.ndindex(end.shape):
+        alone = spm.forward_physical(machine, target[index], near=start[index])
         np.testing.assert_allclose(alone.middle_joints, end.middle_joints[index], rtol=0, atol=1e-15)
     home = spm.forward_physical(machine, [1.3] * 6)
-    assert spm.forward_physical(machine, target, near=home).shape == shape
+    assert spm.forward_physical(machine, target, near=home).shape == end.shape == (3, 1, 2)
 
 
-@pytest.mark.parametrize("length", [4000, 4001, 4567])
+@pytest.mark.parametrize("length", [4000, 4567])
 def test_a_large_batch_is_its_parts(length: int) -> None:
     """Kernels fetch the memory of large batches ahead of writing it, beyond the end as well."""
     pose = random_branches(PAPER, "TT", length, seed=8).pose
@@ -165,7 +137,7 @@ def test_leading_axes_broadcast(function: object) -> None:
     found = function(states, vectors)  # type: ignore[operator]
     assert found.shape == (4, 3, 6)
     np.testing.assert_array_equal(found[2, 1], function(states[1], vectors[2, 0]))  # type: ignore[operator]
-    with pytest.raises(spm.ArgumentError, match=r"(twist|wrench): expected leading axes that broadcast .* \(3,\)"):
+    with pytest.raises(spm.ArgumentError, check=lambda error: error.argument in ("twist", "wrench")):
         function(states, np.zeros((2, 6)))  # type: ignore[operator]
 
 
@@ -265,12 +237,11 @@ def test_sources_of_the_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> No
         assert used() == 2
 
 
-@pytest.mark.parametrize("count", [0, -1, 1.5, True, "2"])
-def test_text_that_is_no_number_is_refused(count: object) -> None:
-    with pytest.raises(spm.ArgumentError, match="positive number of threads"):
-        set_threads(count)  # type: ignore[arg-type]
-    with pytest.raises(spm.ArgumentError, match="positive number of threads"), threads(count):  # type: ignore[arg-type]
-        pass
+@pytest.mark.parametrize("count", [0, 1.5, True, "2"])
+def test_what_is_no_number_of_threads_is_refused(count: object) -> None:
+    for use in (set_threads, lambda count: threads(count).__enter__()):
+        with pytest.raises(spm.ArgumentError, check=with_fields(argument="count")):
+            use(count)  # type: ignore[operator]
 
 
 def test_workers_compute_by_themselves() -> None:
@@ -296,9 +267,9 @@ def test_error_in_a_thread_is_raised_by_the_caller() -> None:
 
 
 def test_the_answer_does_not_depend_on_the_number_of_threads() -> None:
-    pose, built = in_leg_space(PAPER, 40_001, seed=1).pose, as_built(PAPER, 1e-3, seed=4)
+    pose, built = in_leg_space(PAPER, 20_001, seed=1).pose, as_built(PAPER, 1e-3, seed=4)
     answers = []
-    for count in (1, 2, 3):
+    for count in (1, 3):
         with threads(count):
             solutions = spm.inverse_displacement(PAPER, pose)
             lengths, status = branch_lengths(PAPER, pose)
@@ -311,9 +282,8 @@ def test_the_answer_does_not_depend_on_the_number_of_threads() -> None:
             found += [lengths, status, spm.inverse_jacobian(states), spm.kinematics.platform_jacobian(states), forces]
             found += [spm.inverse_displacement(built, pose[:1500]).middle_joints]
             answers.append([*found, spm.determinants(states), forward.middle_joints, modes.translation, roots])
-    for other in answers[1:]:
-        for expected, answer in zip(answers[0], other, strict=True):
-            np.testing.assert_array_equal(expected, answer)
+    for expected, answer in zip(*answers, strict=True):
+        np.testing.assert_array_equal(expected, answer)
     np.testing.assert_array_equal(answers[0][1], answers[0][4])
 
 

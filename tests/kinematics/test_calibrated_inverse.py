@@ -23,7 +23,7 @@ def along(size: float) -> spm.Manipulator:
     return PAPER.from_parameters(PAPER.parameters + size * DIRECTION)
 
 
-@pytest.mark.parametrize(("machines", "poses"), [(5, 3), pytest.param(40, 5, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("machines", "poses"), [(4, 2), pytest.param(12, 4, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("name", MANIPULATORS)
 def test_all_eight_roots_are_certified(name: str, size: float, machines: int, poses: int) -> None:
@@ -43,7 +43,7 @@ def test_all_eight_roots_are_certified(name: str, size: float, machines: int, po
             assert proved == solutions.count[k], (name, size, seed, k)
 
 
-@pytest.mark.parametrize("name", MANIPULATORS)
+@pytest.mark.parametrize("name", ["paper", "equal triangles"])
 def test_vanishing_errors_lead_to_the_nominal_branches_under_their_labels(name: str) -> None:
     machine = MANIPULATORS[name]
     pose = random_branches(machine, "TT", 300, seed=8).pose
@@ -63,29 +63,6 @@ def test_vanishing_errors_lead_to_the_nominal_branches_under_their_labels(name: 
     # In proportion to the errors.
     assert errors[0] < 1e-9
     assert errors[1] / errors[0] == pytest.approx(100.0, rel=0.05)
-
-
-def test_readings_are_distances_from_pivots_to_balls_and_offsets() -> None:
-    built = as_built(PAPER, 5e-3, seed=3)
-    pose = in_leg_space(PAPER, 40, seed=3).pose
-    solutions = spm.inverse_displacement(built, pose)
-    states = solutions.configurations[solutions.exists]
-    rotation, position = states.rotation, states.translation
-    middle = states.middle_pose
-    for i in range(6):
-        ball = middle.apply(built.legs.balls[i])
-        pivot, axis = built.legs.pivots[i], built.legs.axes[i]
-        if i >= 3:
-            pivot, axis = rotation @ pivot + position, rotation @ axis
-        np.testing.assert_allclose(states.balls[:, i], ball, atol=1e-13)
-        np.testing.assert_allclose(((ball - pivot) * axis).sum(axis=-1), 0.0, atol=1e-13)
-        reading = np.linalg.norm(ball - pivot, axis=-1) + built.legs.offsets[i]
-        np.testing.assert_allclose(states.readings[:, i], reading, atol=1e-13)
-    again = spm.Configuration(built, states.pose, states.middle_joints)
-    np.testing.assert_allclose(again.leg_lengths, states.leg_lengths, atol=1e-13)
-    assert (again.closure_residual <= 1e-13).all()
-    moved = spm.Configuration(built, states.pose, states.middle_joints + np.array([1e-3, 0.0, 0.0]))
-    assert (moved.closure_residual > 1e-4).all()
 
 
 def test_labels_are_continuous_in_the_errors_until_branches_meet() -> None:
@@ -150,25 +127,17 @@ def test_two_branches_of_the_papers_example_end_where_they_meet_in_an_inverse_si
     assert abs(cosine) == pytest.approx(1.0, abs=1e-4)
 
 
-@pytest.mark.parametrize("size", [1e-6, 1e-4, 1e-3, 1e-2])
+@pytest.mark.parametrize("size", [1e-6, 1e-3, 1e-2])
 @pytest.mark.parametrize("name", MANIPULATORS)
 def test_the_physical_branch_alone_is_that_of_all_branches(name: str, size: float) -> None:
     machine = MANIPULATORS[name]
-    built = as_built(machine, size, seed=3)
-    sets = [random_branches(machine, "TT", 1500, seed=2)]
-    if machine.limits is not None:
-        sets.append(in_leg_space(machine, 700, seed=1))
-    for problem in sets:
-        chosen = spm.inverse_displacement(built, problem.pose).physical()
-        alone = spm.inverse_physical(built, problem.pose)
-        assert chosen.exists.any()
-        np.testing.assert_allclose(alone.middle_joints, chosen.middle_joints, atol=1e-11 * machine.middle_side)
-        np.testing.assert_allclose(alone.leg_lengths, chosen.leg_lengths, rtol=1e-11)
-        np.testing.assert_array_equal(alone.translation, chosen.translation)
-        assert np.nanmax(alone.closure_residual) <= 1e-14 * machine.middle_side
-        np.testing.assert_array_equal(
-            spm.inverse_physical(built, problem.pose[7:8]).leg_lengths[0], alone[7].leg_lengths
-        )
+    built, pose = as_built(machine, size, seed=3), random_branches(machine, "TT", 500, seed=2).pose
+    chosen, alone = spm.inverse_displacement(built, pose).physical(), spm.inverse_physical(built, pose)
+    assert chosen.exists.any()
+    np.testing.assert_allclose(alone.middle_joints, chosen.middle_joints, atol=1e-11 * machine.middle_side)
+    np.testing.assert_allclose(alone.leg_lengths, chosen.leg_lengths, rtol=1e-11)
+    np.testing.assert_array_equal(alone.translation, chosen.translation)
+    assert np.nanmax(alone.closure_residual) <= 1e-14 * machine.middle_side
 
 
 def test_outcomes_that_are_no_branches_are_statuses() -> None:
@@ -189,36 +158,23 @@ def test_outcomes_that_are_no_branches_are_statuses() -> None:
 
 # Near level poses a branch far from physical became the physical one: which was not looked at, or lost to its partner.
 MISSED = [
-    (
-        754572008,
-        7.559494563531443e-05,
-        [
-            1.419152746194395,
-            1.2313140922760573,
-            1.422006331474815,
-            1.4738543925718115,
-            1.4710533983599856,
-            1.4708855387996738,
-        ],
-    ),
-    (226073069, 6.55e-4, [1.3938, 1.4022, 1.4303, 1.3703, 1.3602, 1.3452]),
-    (321997600, 0.0004410194809943684, [1.2186, 1.2713, 1.3458, 1.3139, 1.2595, 1.1852]),
+    (754572008, 7.559494563531443e-05, "1.41915275 1.23131409 1.42200633 1.47385439 1.4710534 1.47088554"),
+    (226073069, 6.55e-4, "1.3938 1.4022 1.4303 1.3703 1.3602 1.3452"),
+    (321997600, 0.0004410194809943684, "1.2186 1.2713 1.3458 1.3139 1.2595 1.1852"),
 ]
 
 
 @pytest.mark.parametrize(("seed", "size", "readings"), MISSED)
-def test_the_physical_branch_within_the_limits_is_not_missed(seed: int, size: float, readings: list[float]) -> None:
-    built = PAPER.perturbed(seed, length=size, angle=size)
-    pose = spm.forward_physical(built, readings).pose
-    np.testing.assert_allclose(spm.inverse_physical(built, pose).readings, readings, atol=1e-9)
+def test_the_physical_branch_within_the_limits_is_not_missed(seed: int, size: float, readings: str) -> None:
+    built, expected = PAPER.perturbed(seed, length=size, angle=size), np.array(readings.split(), dtype=float)
+    pose = spm.forward_physical(built, expected).pose
+    np.testing.assert_allclose(spm.inverse_physical(built, pose).readings, expected, atol=1e-9)
 
 
-SLOW_PARTS = [
-    pytest.param(range(first, first + 20), 50_000, 990_000, marks=pytest.mark.slow) for first in range(4, 84, 20)
-]
-
-
-@pytest.mark.parametrize(("seeds", "poses", "least"), [(range(4), 5000, 19_000), *SLOW_PARTS])
+@pytest.mark.parametrize(
+    ("seeds", "poses", "least"),
+    [(range(4), 3000, 11_400), pytest.param(range(4, 34), 30_000, 890_000, marks=pytest.mark.slow)],
+)
 def test_the_physical_branch_of_reachable_poses_is_that_of_all_branches(seeds: range, poses: int, least: int) -> None:
     count = 0
     for seed in seeds:
@@ -250,14 +206,14 @@ def test_of_two_physical_branches_the_one_near_a_state_is_returned() -> None:
             np.testing.assert_array_equal(chosen.middle_joints, near.middle_joints)
 
 
-@pytest.mark.parametrize("distance", [1e6, 1e16, 1e160])
+@pytest.mark.parametrize("distance", [1e6, 1e160])
 def test_poses_too_far_away_to_be_resolved_are_refused(distance: float) -> None:
     pose = np.eye(4)
     pose[:3] = EXAMPLE.as_matrix()[:3]
     pose[2, 3] = distance
     for machine in (PAPER, as_built(PAPER, 1e-4)):
         for solve in (spm.inverse_displacement, spm.inverse_physical, complex_middle_joints):
-            with pytest.raises(spm.PoseError, match="Is it in another unit"):
+            with pytest.raises(spm.PoseError, check=with_fields(argument="pose")):
                 solve(machine, np.stack([EXAMPLE.as_matrix(), pose]))
 
 
@@ -304,7 +260,7 @@ def test_certified_radii_hold_the_roots_of_ball_arithmetic(size: float) -> None:
 @pytest.mark.parametrize("family", range(4))
 def test_near_double_roots_labels_and_radii_hold(family: int) -> None:
     """Branches meet where det K vanishes, so under a label that was carried it has the sign of the drawn machine."""
-    poses = random_branches(PAPER, spm.machine.FAMILIES[family], 25, seed=21).pose
+    poses = random_branches(PAPER, spm.machine.FAMILIES[family], 12, seed=21).pose
     lost = 0
     for beyond, share in product((1e-3, 1e-6, 1e-9), (1e-2, 1.0)):
         pose = RigidTransform.concatenate([at_discriminant(pose, family, beyond, PAPER) for pose in poses])
@@ -319,12 +275,4 @@ def test_near_double_roots_labels_and_radii_hold(family: int) -> None:
         lost += int(gone.sum())
         assert not (np.isfinite(branches.radius) & ~branches.exists).any()
         assert_roots_are_within(branches[:3])
-    assert lost > 20
-
-
-def test_near_a_double_root_the_radius_holds_or_is_missing() -> None:
-    low, _ = meeting(1e-13)
-    for size in low * (1.0 - np.array([1e-3, 1e-6, 1e-9, 1e-12, 0.0])):
-        branches = spm.inverse_displacement(along(float(size)), EXAMPLE, certify=True)
-        assert_roots_are_within(branches)
-    assert np.isnan(branches.radius[branches.exists]).sum() <= 2
+    assert lost > 10

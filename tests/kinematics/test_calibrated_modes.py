@@ -11,10 +11,7 @@ import spm_pin as spm
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-4, 1e-2])
-@pytest.mark.parametrize(
-    "count",
-    [3, pytest.param(60, marks=pytest.mark.slow)],
-)
+@pytest.mark.parametrize("count", [3, pytest.param(20, marks=pytest.mark.slow)])
 def test_all_modes_and_no_others(size: float, count: int) -> None:
     rng = np.random.default_rng(count)
     for _ in range(count):
@@ -38,16 +35,16 @@ def test_all_modes_and_no_others(size: float, count: int) -> None:
                 assert gaps.min(axis=0).max() < 1e-9
 
 
-@pytest.mark.parametrize(("size", "count"), [(1e-3, 1), pytest.param(1e-5, 6, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("size", "count"), [(1e-3, 1), pytest.param(1e-5, 3, marks=pytest.mark.slow)])
 def test_labels_are_carried_while_the_errors_grow(size: float, count: int) -> None:
-    """As in two hundred small steps from the drawn machine, each from a mode to the nearest."""
+    """As in eighty small steps from the drawn machine, each from a mode to the nearest."""
     machine = as_built(PAPER, size)
     lengths = np.random.default_rng(4).uniform(1.1, 1.5, (count, 6))
     modes = spm.forward_displacement(machine, lengths + machine.legs.offsets)
     before = spm.forward_displacement(PAPER, lengths)
     points, labelled = before.middle_joints, before.exists
     drawn, built = PAPER.legs, machine.legs
-    for share in np.linspace(0.0, 1.0, 201)[1:]:
+    for share in np.linspace(0.0, 1.0, 81)[1:]:
         axes = drawn.axes + share * (built.axes - drawn.axes)
         axes /= np.linalg.norm(axes, axis=1)[:, None]
         arrays = (a + share * (b - a) for a, b in zip(drawn.arrays[1:3], built.arrays[1:3], strict=True))

@@ -93,15 +93,14 @@ def test_every_kernel_computes_the_same_bits_in_the_interpreter(monkeypatch: pyt
         return result
 
     monkeypatch.setattr(Kernel, "__call__", run_both)
-    readings = np.random.default_rng(0).uniform(1.1, 1.5, (5, 6))
+    readings = np.random.default_rng(0).uniform(1.1, 1.5, (3, 6))
     for machine in (PAPER, PAPER.perturbed(0, length=1e-3, angle=1e-3)):
         use_machine(machine, readings)
     for kind in (spm.RPS(), spm.PRS(rod=0.5), spm.RRS(crank=0.2, rod=0.4)):
         drawn = spm.Stage(0.6, 0.5, legs=kind)
-        for stage in (drawn, drawn.perturbed(0)):
-            use_stage(stage)
+        use_stage(drawn.perturbed(0) if kind.unit == "rad" else drawn)
     spm.kinematics.singular_values(np.sqrt(np.arange(36.0).reshape(6, 6)))
-    spm.workspace.reachable_position(PAPER, [[0.5, 0.2, 2.1], [0.3, 0.3, 2.3]])
+    spm.workspace.reachable_position(PAPER, [[0.5, 0.2, 2.1]])
     spm.workspace.nearest_reachable_pose(PAPER, spm.pose([0.5, 0.2, 2.1], xyx=[0.0, 0.2, 0.0]))
     assert called == {kernel.py_func for kernel in all_kernels()}
 
@@ -220,26 +219,6 @@ def has_compiled(process: subprocess.Popen[str]) -> bool:
     return bool(err)
 
 
-def test_a_kernel_is_compiled_once_for_all_processes_until_a_formula_changes(package: Path, tmp_path: Path) -> None:
-    cache = tmp_path / "cache"
-    first, second = start(package, NUMBA_CACHE_DIR=cache), start(package, NUMBA_CACHE_DIR=cache)
-    assert has_compiled(first) | has_compiled(second)
-    assert not has_compiled(start(package, NUMBA_CACHE_DIR=cache))
-    # A damaged cache is as good as none.
-    for file in cache.rglob("*.nb?"):
-        file.write_bytes(file.read_bytes()[:100])
-    assert has_compiled(start(package, NUMBA_CACHE_DIR=cache))
-    # The kernel's own file stays as it is, but not a formula that it calls.
-    formulas = package / "spm_pin" / "formulas" / "vectors.py"
-    text, formula = formulas.read_text(), "return combined(a[0], x[0], b[0]), "
-    assert formula in text
-    formulas.write_text(text.replace(formula, "return combined(a[0], 2.0 * x[0], b[0]), "))
-    out, _ = start(package, NUMBA_CACHE_DIR=cache).communicate()
-    first, *others = ANSWER[0]
-    changed = (2.0 * np.array(first) - NUMBERS[0, 0]).tolist()
-    assert out.strip() == str([[changed, *others]])
-
-
 INTERRUPTED = """
 import _thread, numpy as np
 from numba.core import event
@@ -259,16 +238,30 @@ else:
 """
 
 
-def test_a_kernel_whose_compiling_is_interrupted_is_compiled_by_the_next_call(package: Path, tmp_path: Path) -> None:
-    process = start(package, program=INTERRUPTED + SOLVE, NUMBA_CACHE_DIR=tmp_path / "cache")
-    assert has_compiled(process)
-    assert not has_compiled(start(package, NUMBA_CACHE_DIR=tmp_path / "cache"))
+def test_a_kernel_is_compiled_once_for_all_processes_until_a_formula_changes(package: Path, tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+    # What is interrupted is compiled by the next call.
+    assert has_compiled(start(package, program=INTERRUPTED + SOLVE, NUMBA_CACHE_DIR=cache))
+    assert not has_compiled(start(package, NUMBA_CACHE_DIR=cache))
+    # A damaged cache is as good as none, for two processes at once.
+    for file in cache.rglob("*.nb?"):
+        file.write_bytes(file.read_bytes()[:100])
+    first, second = start(package, NUMBA_CACHE_DIR=cache), start(package, NUMBA_CACHE_DIR=cache)
+    assert has_compiled(first) | has_compiled(second)
+    # The kernel's own file stays as it is, but not a formula that it calls.
+    formulas = package / "spm_pin" / "formulas" / "vectors.py"
+    text, formula = formulas.read_text(), "return combined(a[0], x[0], b[0]), "
+    assert formula in text
+    formulas.write_text(text.replace(formula, "return combined(a[0], 2.0 * x[0], b[0]), "))
+    out, _ = start(package, NUMBA_CACHE_DIR=cache).communicate()
+    first, *others = ANSWER[0]
+    changed = (2.0 * np.array(first) - NUMBERS[0, 0]).tolist()
+    assert out.strip() == str([[changed, *others]])
 
 
-@pytest.mark.parametrize("method", [m for m in ("fork", "spawn") if m in multiprocessing.get_all_start_methods()])
-def test_child_processes_compute_the_same(method: str) -> None:
+def test_child_processes_compute_the_same() -> None:
     state = spm.Configuration(spm.Manipulator(0.7, 0.35, 0.8), np.eye(4), np.arange(9.0).reshape(3, 3) ** 2)
-    with multiprocessing.get_context(method).Pool(1) as pool:
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
         assert pool.apply(determinants, (state,)).tolist() == determinants(state).tolist()
 
 
@@ -310,12 +303,10 @@ def test_a_read_only_installation_uses_the_users_cache(package: Path, tmp_path: 
     assert not has_compiled(start(package, HOME=tmp_path / "home"))
 
 
-def test_without_a_place_for_a_cache_every_process_compiles(package: Path, tmp_path: Path) -> None:
+def test_without_a_place_for_a_cache_a_process_compiles(package: Path, tmp_path: Path) -> None:
     blocked(package)
     (tmp_path / "file").touch()
-    nowhere = {"HOME": tmp_path / "file", "NUMBA_CACHE_DIR": tmp_path / "file" / "cache"}
-    processes = [start(package, **nowhere) for _ in range(2)]
-    assert [has_compiled(process) for process in processes] == [True, True]
+    assert has_compiled(start(package, HOME=tmp_path / "file", NUMBA_CACHE_DIR=tmp_path / "file" / "cache"))
 
 
 def test_all_kernels_can_be_compiled_in_advance() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from error_fields import with_fields
 from problems import MANIPULATORS, PAPER, Problem, distance, random_branches
 from stage_oracle import certified_modes
 
@@ -73,7 +74,7 @@ def test_the_number_of_modes_is_the_product_of_certified_ones() -> None:
     rng = np.random.default_rng(1)
     for machine in MANIPULATORS.values():
         size = machine.middle_radius + np.repeat([machine.base_radius, machine.platform_radius], 3)
-        lengths = size * rng.uniform(0.5, 1.5, (25, 1)) * (1.0 + 0.1 * rng.normal(size=(25, 6)))
+        lengths = size * rng.uniform(0.5, 1.5, (12, 1)) * (1.0 + 0.1 * rng.normal(size=(12, 6)))
         solutions = forward_displacement(machine, lengths)
         d = machine.middle_side
         certified = []
@@ -98,7 +99,7 @@ def test_some_lengths_have_all_256_modes() -> None:
 @pytest.mark.parametrize("name", MANIPULATORS)
 @pytest.mark.parametrize("modes", spm.machine.FAMILIES)
 def test_a_known_configuration_is_found_from_its_lengths(name: str, modes: str) -> None:
-    problem = random_branches(MANIPULATORS[name], modes, 300, seed=2)
+    problem = random_branches(MANIPULATORS[name], modes, 200, seed=2)
     assert_found(problem)
     solutions = forward_displacement(problem.machine, problem.configuration.leg_lengths[:50])
     state = solutions.nearest(problem.configuration[:50])
@@ -115,14 +116,6 @@ def test_a_short_leg_keeps_its_digits() -> None:
     problem = random_branches(PAPER, "TF", 1_000, seed=100)
     assert problem.configuration.leg_lengths.min() < 0.005
     assert_found(problem)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", MANIPULATORS)
-def test_round_trips_of_many_random_states(name: str) -> None:
-    for seed in range(2):
-        for modes in spm.machine.FAMILIES:
-            assert_found(random_branches(MANIPULATORS[name], modes, 1_000, seed=100 + seed))
 
 
 # --- What has no solution, a family of them, or no meaning --------------------------------------------------------
@@ -157,19 +150,18 @@ def test_stages_that_move_with_their_legs_locked_are_degenerate() -> None:
 
 
 @pytest.mark.parametrize(
-    ("legs", "words"),
+    ("legs", "received"),
     [
-        ([1.2] * 5 + [0.0], "0 for r_c3. Are they strokes"),
+        ([1.2] * 5 + [0.0], "0 for r_c3"),
         ([[1.2] * 6, [1.2, -0.1] + [1.2] * 4], "-0.1 for r_b2 at index (1,)"),
-        ([1.2e9] * 6, "Are they in another unit?"),
+        ([1.2e9] * 6, "1.2e+09"),
     ],
 )
-def test_invalid_lengths_are_refused(legs: list[float], words: str) -> None:
+def test_invalid_lengths_are_refused(legs: list[float], received: str) -> None:
     for function in (forward_displacement, forward_physical):
-        with pytest.raises(spm.ArgumentError) as caught:
+        with pytest.raises(spm.ArgumentError, check=with_fields(argument="readings")) as caught:
             function(PAPER, legs)
-        assert words in str(caught.value)
-        assert caught.value.argument == "readings"
+        assert caught.value.received.startswith(received)
 
 
 # --- Beside continuous families and with very short legs -----------------------------------------------------------

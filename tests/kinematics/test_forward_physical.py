@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from error_fields import with_fields
 from problems import MANIPULATORS, PAPER, as_built, distance, in_leg_space, random_branches
 from scipy.integrate import solve_ivp
 from stage_cases import cases
-from stages import solve_stage
 
 import spm_pin as spm
-from spm_pin.formulas import stages, wrenches
-from spm_pin.formulas.operations import on_arrays, rows_of
 from spm_pin.kinematics.forward_displacement import forward_displacement, forward_physical
 
 RADIAL = PAPER.radial_directions
@@ -126,23 +124,13 @@ def follow_adaptively(seed: spm.Configuration, end: np.ndarray) -> tuple[np.ndar
 # --- From home ----------------------------------------------------------------------------------------------------
 
 
-def test_the_physical_configuration_is_the_one_continued_from_home() -> None:
-    lengths = np.random.default_rng(5).uniform(1.1, 1.5, (10_000, 6))
-    state = forward_physical(PAPER, lengths)
-    assert state.exists.all()
-    joints, whole = continued_from_home(PAPER, lengths, steps=40)
-    assert whole.all()
-    np.testing.assert_allclose(stage_joints(state), joints, rtol=0, atol=1e-11)
-    assert spm.determinants(state)[:, :2].min() > 0.0
-
-
 @pytest.mark.parametrize("name", [*MANIPULATORS, "small platforms"])
 def test_far_from_home_the_physical_configuration_is_continued_or_absent(name: str) -> None:
     machine = {**MANIPULATORS, "small platforms": spm.Manipulator(0.05, 0.1, 0.8)}[name]
     rng = np.random.default_rng(6)
     size = machine.middle_radius + np.repeat([machine.base_radius, machine.platform_radius], 3)
-    spread = rng.uniform(0.0, 0.4, (1_500, 1))
-    lengths = size * rng.uniform(0.6, 2.0, (1_500, 1)) * np.abs(1.0 + spread * rng.normal(size=(1_500, 6))).clip(0.05)
+    spread = rng.uniform(0.0, 0.4, (600, 1))
+    lengths = size * rng.uniform(0.6, 2.0, (600, 1)) * np.abs(1.0 + spread * rng.normal(size=(600, 6))).clip(0.05)
     state = forward_physical(machine, lengths)
     joints, whole = continued_from_home(machine, lengths, steps=200)
     assert 0.1 < whole.mean() < 0.97
@@ -152,23 +140,6 @@ def test_far_from_home_the_physical_configuration_is_continued_or_absent(name: s
     assert (state.exists & ~whole).mean() < 0.01
     assert np.isnan(state.rotation[~state.exists]).all()
     assert np.isnan(state.translation[~state.exists]).all()
-
-
-@pytest.mark.parametrize("ratio", [0.05, 0.5, 1.0, 3.0])
-def test_the_home_aspect_holds_one_solution_at_most(ratio: float) -> None:
-    rng = np.random.default_rng(9)
-    size = rng.uniform(0.3, 1.6, (4_000, 1)) * (1.0 + ratio)
-    modes = solve_stage(size * (1.0 + 0.3 * rng.normal(size=(4_000, 3))).clip(0.05), ratio)
-    normals = modes.heights[..., None] * RADIAL - (modes.radii[..., None] - ratio) * UP
-    joints = modes.radii[..., None] * RADIAL + modes.heights[..., None] * UP
-    pairs = on_arrays(wrenches.pairs)(rows_of(joints), rows_of(normals))
-    home = on_arrays(stages.is_home_aspect)(pairs)[:, 0]
-    assert home.sum(axis=-1).max() == 1
-    assert not home[:, 1:].any(), "it is T1"
-    # The determinant's sign alone would let others pass.
-    same_sign = stages.pair_determinant(pairs)[:, 0] > 0.0
-    assert same_sign[home].all()
-    assert (same_sign & ~home).any()
 
 
 # --- From a seed --------------------------------------------------------------------------------------------------
@@ -202,7 +173,7 @@ def test_a_path_through_a_half_turn_ends_there() -> None:
 
 @pytest.mark.parametrize(
     ("count", "draw"),
-    [(300, 0), pytest.param(9_000, 1, marks=pytest.mark.slow)],
+    [(300, 0), pytest.param(2_500, 1, marks=pytest.mark.slow)],
 )
 def test_the_solution_stays_on_its_path(count: int, draw: int) -> None:
     """Random modes, followed far: no arrival jumps, and no determinant changes its sign on the way to one."""
@@ -236,12 +207,12 @@ def test_where_modes_vanish_their_seeds_end_and_no_two_end_in_one_mode() -> None
     assert len(set(np.nanargmin(apart, axis=-1).tolist())) == len(alive)
 
 
-@pytest.mark.parametrize("size", [1e-6, 1e-4, 1e-3, 1e-2])
+@pytest.mark.parametrize("size", [1e-4, 1e-2])
 @pytest.mark.parametrize("name", MANIPULATORS)
 def test_states_of_a_machine_as_built_are_found_whose_readings_they_are(name: str, size: float) -> None:
     machine = MANIPULATORS[name]
     built, side = as_built(machine, size), machine.middle_side
-    problem = random_branches(machine, "TT", 2000, seed=2)
+    problem = random_branches(machine, "TT", 500, seed=2)
     if machine.limits is not None:
         problem = in_leg_space(machine, 300, seed=2)
     state = spm.inverse_physical(built, problem.pose)
@@ -256,26 +227,6 @@ def test_states_of_a_machine_as_built_are_found_whose_readings_they_are(name: st
     assert found.closure_residual.max() <= 1e-13 * side
 
 
-def test_a_state_of_a_machine_as_built_is_followed_to_other_readings() -> None:
-    built = as_built(PAPER, 1e-3)
-    state = spm.inverse_physical(built, in_leg_space(PAPER, 40, seed=1).pose)
-    state = state[state.exists]
-    state = state[spm.singularities(state).sigma[:, 2] > 5e-3]
-    found = spm.forward_physical(built, state.readings[1:], near=state[:-1])
-    assert found.exists.mean() > 0.95
-    error = np.abs(found.translation - state.translation[1:]).max(axis=-1)
-    assert np.nanmax(error) < 1e-12
-    # A mode that no machine gets into by itself stays that mode.
-    turned = spm.inverse_displacement(built, in_leg_space(PAPER, 20, seed=9).pose)["FF+"]
-    turned = turned[turned.exists]
-    near = spm.forward_physical(built, turned.readings + 1e-4, near=turned)
-    moved = np.abs(near.translation - turned.translation).max(axis=-1)
-    assert (np.isnan(moved) | (moved < 0.05)).all()
-    assert near.exists.mean() > 0.7
-    alone = spm.forward_physical(built, state.readings[5], near=state[4])
-    np.testing.assert_array_equal(alone.middle_joints, found.middle_joints[4])
-
-
 @pytest.mark.parametrize("machine", [PAPER, as_built(PAPER, 1e-3)], ids=["drawn", "as built"])
 def test_invalid_seeds_and_readings_are_refused(machine: spm.Manipulator) -> None:
     state = forward_physical(machine, LEGS)
@@ -283,17 +234,11 @@ def test_invalid_seeds_and_readings_are_refused(machine: spm.Manipulator) -> Non
     absent = forward_physical(machine, LEGS * 100)
     other = forward_physical(as_built(PAPER, 2e-3), LEGS)
     batch = forward_physical(machine, [LEGS] * 3)
-    for seed, words in (
-        (state.middle_joints, "a Configuration"),
-        (torn, "that closes"),
-        (absent, "that exist"),
-        (other, "of `machine`"),
-        (batch, "broadcast"),
-    ):
-        with pytest.raises(spm.ArgumentError, match=words):
+    for seed in (state.middle_joints, torn, absent, other, batch):
+        with pytest.raises(spm.ArgumentError, check=with_fields(argument="near")):
             forward_physical(machine, np.array([LEGS] * 2), near=seed)  # type: ignore[arg-type]
     if machine is not PAPER:
-        with pytest.raises(spm.ArgumentError, match=r"readings.*above their offset.*r_b1"):
+        with pytest.raises(spm.ArgumentError, check=with_fields(argument="readings")):
             forward_physical(machine, np.full(6, -1.0))
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from error_fields import with_fields
 from problems import EXAMPLE, PAPER, as_built, at_discriminant, in_leg_space, random_branches
 from scipy.optimize import brentq
 from scipy.spatial.transform import RigidTransform, Rotation, Slerp
@@ -34,7 +35,7 @@ def of_kind(found: FollowedPath, kind: EventKind) -> list[float]:
     return [event.parameter for event in found.events if event.kind is kind]
 
 
-@pytest.mark.parametrize(("points", "seed"), [*((3, seed) for seed in range(6)), (2, 103)])
+@pytest.mark.parametrize(("points", "seed"), [*((3, seed) for seed in range(3)), (2, 103)])
 def test_along_poses_a_solution_keeps_its_label(points: int, seed: int) -> None:
     """Labels are continuous up to a fold; another branch that is only near, as in the last case, is not taken."""
     problem = in_leg_space(PAPER, points, seed=seed)
@@ -49,7 +50,7 @@ def test_along_poses_a_solution_keeps_its_label(points: int, seed: int) -> None:
     assert moves.max() <= 0.1 * PAPER.middle_side
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_sign_changes_are_those_of_a_dense_sample(seed: int) -> None:
     problem = in_leg_space(PAPER, 2, seed=100 + seed)
     first, last = problem.pose[0], problem.pose[1]
@@ -216,32 +217,18 @@ def test_two_solutions_that_coincide_are_not_followed_forever() -> None:
     assert len(parameters) < 1_000
 
 
-def test_a_callable_and_its_samples_are_the_same_path() -> None:
-    problem = in_leg_space(PAPER, 2, seed=7)
-    first, last = problem.pose[0], problem.pose[1]
-    sampled = follow(PAPER, problem.pose, problem.configuration[0], samples=20)
-    called = follow(PAPER, lambda s: pose_between(first, last, s), problem.configuration[0], samples=20)
-    assert [event.kind for event in sampled.events] == [event.kind for event in called.events]
-    for found, expected in zip(sampled.events, called.events, strict=True):
-        assert found.parameter == pytest.approx(expected.parameter, abs=RESOLUTION)
-
-
 @pytest.mark.parametrize(
-    ("path", "start", "words"),
+    ("path", "start", "argument"),
     [
-        (stacked(EXAMPLE, EXAMPLE), "FT+", "start: expected the label of a solution that is real"),
-        (stacked(EXAMPLE), None, "path: expected a callable, or at least two poses"),
-        (np.zeros((4, 5)), None, "path: expected real numbers of shape .* readings of the legs in metres, or poses"),
-        (np.zeros(6), None, "path: expected a callable, or at least two poses"),
-        (
-            stacked(spm.pose([9, 9, 9], rotation=EXAMPLE.rotation), EXAMPLE),
-            None,
-            "start: expected a solution that exists",
-        ),
+        (stacked(EXAMPLE, EXAMPLE), "FT+", "start"),
+        (stacked(EXAMPLE), None, "path"),
+        (np.zeros((4, 5)), None, "path"),
+        (np.zeros(6), None, "path"),
+        (stacked(spm.pose([9, 9, 9], rotation=EXAMPLE.rotation), EXAMPLE), None, "start"),
     ],
 )
-def test_invalid_paths_are_refused(path: object, start: str | None, words: str) -> None:
-    with pytest.raises(spm.ArgumentError, match=words):
+def test_invalid_paths_are_refused(path: object, start: str | None, argument: str) -> None:
+    with pytest.raises(spm.ArgumentError, check=with_fields(argument=argument)):
         follow(PAPER, path, start)  # type: ignore[arg-type]
 
 
@@ -262,22 +249,12 @@ def test_the_share_of_a_line_in_the_home_mode_is_that_of_the_followed_path() -> 
     np.testing.assert_allclose(finer, shares, atol=4e-4)
 
 
-def test_another_mode_is_followed_along_a_line_to_its_end() -> None:
-    start = spm.inverse_displacement(FREE, EXAMPLE)["FF+"]
-    end = np.array([0.2, 3.0, 0.2, 1.3, 1.3, 1.31])
-    last, share = last_on_line(start, end)
-    assert 0.0 < share < 1.0
-    np.testing.assert_allclose(last.leg_lengths, start.leg_lengths + share * (end - start.leg_lengths), atol=1e-9)
-
-
 def test_a_followed_path_is_shown_by_its_events() -> None:
     first, second = [1.25, 1.15, 1.40, 1.30, 1.20, 1.40], [1.24, 1.16, 1.40, 1.30, 1.20, 1.41]
     path = follow(PAPER, np.array([first, second]), samples=10)
     assert repr(path) == f"<FollowedPath: complete, {len(path.parameters)} states of T1+/T1+; no events>"
     beyond = follow(PAPER, np.array([first, [0.5, 1.15, 1.4, 1.3, 1.2, 3.0]]), samples=10)
     assert repr(beyond).startswith(f"<FollowedPath: ends at {beyond.parameters[-1]:.4g}, ")
-    assert f"leg limit at {beyond.events[0].parameter:.4g}" in repr(beyond)
-    assert len(repr(beyond)) < 250
 
 
 def test_a_path_of_a_machine_as_built_is_followed() -> None:

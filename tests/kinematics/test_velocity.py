@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
 
 import numpy as np
 import problems
@@ -20,36 +19,11 @@ from spm_pin.kinematics.singularity_analysis import determinant_gradients
 
 EPS = np.finfo(float).eps
 PAPER = spm.Manipulator.paper()
-EVERY_FAMILY = [(name, family) for name in problems.MANIPULATORS for family in spm.machine.FAMILIES]
-
-
-def smallest(matrix: np.ndarray) -> np.ndarray:
-    return np.linalg.svd(matrix, compute_uv=False)[..., -1]
-
-
-def scaling(state: spm.Configuration) -> np.ndarray:
-    """(1, 1, 1, s, s, s) with s = d + |o - p|: makes a twist's parts comparable wherever o is."""
-    distance = np.linalg.norm(state.translation - state.middle_joints.mean(axis=-2), axis=-1)
-    scales = np.ones((*state.shape, 6))
-    scales[..., 3:] = (state.machine.middle_side + distance)[..., None]
-    return scales
+FAMILIES = [*(("paper", family) for family in spm.machine.FAMILIES), ("wide base", "TF"), ("millimetres", "FF")]
 
 
 def norm(matrices: np.ndarray) -> np.ndarray:
     return np.linalg.norm(matrices, axis=(-1, -2))
-
-
-@pytest.mark.parametrize(("name", "family"), EVERY_FAMILY)
-def test_the_two_jacobians_are_inverse_in_every_family(name, family):
-    state = problems.random_branches(problems.MANIPULATORS[name], family, 500, seed=42).configuration
-    product = platform_jacobian(state) @ inverse_jacobian(state)
-    scales = scaling(state)
-    error = norm(scales[..., :, None] * (product - np.eye(6)) / scales[..., None, :])
-    lower, upper, both = np.moveaxis(smallest(problems.wrench_matrices(state)), -1, 0)
-    # G is off by eps κ |G|, with |G| = 1/σ of J_b or J_c, times |J_f|; J_f by eps / σ(K)², times |G|.
-    g = np.maximum(1 / lower, 1 / upper)
-    size = norm(inverse_jacobian(state) / scales[..., None, :])
-    assert (error <= 8 * EPS * (g**2 * size + g / both**2)).all()
 
 
 def finite_differences(state: spm.Configuration, labels: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -77,7 +51,7 @@ def finite_differences(state: spm.Configuration, labels: np.ndarray, size: np.nd
     return fine, norm(fine - coarse) + rounding
 
 
-@pytest.mark.parametrize(("name", "family"), [*EVERY_FAMILY, ("paper", "in leg space")])
+@pytest.mark.parametrize(("name", "family"), [*FAMILIES, ("paper", "in leg space")])
 def test_finite_differences(name, family):
     """Nearly all members must tell to four digits; so close to a fold that none is left, some may not."""
     if family == "in leg space":
@@ -97,54 +71,19 @@ def test_finite_differences(name, family):
     assert (error <= tolerance)[telling].all()
 
 
-def in_stages(machine: spm.Manipulator, lower: tuple[float, ...], upper: tuple[float, ...]) -> spm.Configuration:
-    """One state, each stage from its tilt axis, sine of half the tilt, and height in units of d."""
-    tilts = ((axis, half_sine, height * machine.middle_side) for axis, half_sine, height in (lower, upper))
-    return problems.without_torsion(machine, *tilts)
+PATHS = {"inverse": 2, "forward": 0}
+"""Which determinant vanishes."""
+# Tilt axis, sine of half the tilt and height of both stages. Level at the height of the base, all forces of the lower
+# stage are in one plane; tilted half round, its three revolute axes do not constrain it.
+REGULAR, FLAT, TURNED_OVER = (
+    problems.without_torsion(PAPER, lower, (2.0, 0.15, -1.1))
+    for lower in ((0.3, 0.2, 1.2), (0.3, 0.0, 0.0), (0.3, 1.0, 1.2))
+)
 
 
-PATHS = ("inverse", "forward")
-REGULAR = (0.3, 0.2, 1.5), (2.0, 0.15, -1.4)
-
-
-def crossing(path: str, machine: spm.Manipulator) -> tuple[Callable[[float], spm.Configuration], float]:
-    """Return states over the azimuth of the upper stage's tilt, or the height of the lower stage, and a singular one.
-
-    There det K or det J_b changes sign, to the last bit.
-    """
-    if path == "inverse":
-        which, values = 2, np.linspace(0.5, 3.5, 61)
-    else:
-        which, values = 0, np.linspace(-1.0, 1.0, 60)
-
-    def make(value: float) -> spm.Configuration:
-        lower, upper = REGULAR
-        if path == "inverse":
-            return in_stages(machine, lower, (value, *upper[1:]))
-        return in_stages(machine, (*lower[:2], value), upper)
-
-    def sign(value: float) -> float:
-        return float(np.sign(spm.determinants(make(value))[which]))
-
-    signs = np.array([sign(value) for value in values])
-    first = int(np.flatnonzero(signs[1:] != signs[:-1])[0])
-    low, high = values[first], values[first + 1]
-    while low < (middle := (low + high) / 2) < high:
-        low, high = (middle, high) if sign(middle) == signs[first] else (low, middle)
-    return make, float(low)
-
-
-# Lower stage level at the height of the base: all its forces are in one plane.
-FLAT = (0.3, 0.0, 0.0), REGULAR[1]
-# Lower stage tilted half round: its three revolute axes do not constrain it.
-TURNED_OVER = (0.3, 1.0, 1.5), REGULAR[1]
-
-
-@pytest.mark.parametrize("name", problems.MANIPULATORS)
-def test_singular_states(name):
-    machine = problems.MANIPULATORS[name]
-    inverse, forward = (make(value) for make, value in (crossing(path, machine) for path in PATHS))
-    constraint = in_stages(machine, *TURNED_OVER)
+def test_singular_states() -> None:
+    inverse, forward = (problems.singular_state(which, *problems.PAPER_TILTS[which]) for which in PATHS.values())
+    constraint = TURNED_OVER
     expected = [
         (inverse, inverse_jacobian, "inverse"),
         (forward, platform_jacobian, "forward"),
@@ -154,9 +93,8 @@ def test_singular_states(name):
         (constraint, functools.partial(spm.kinematics.compliance, legs=1e7), "constraint"),
     ]
     for state, function, kind in expected:
-        with pytest.raises(SingularConfigurationError, match=f"^{kind} singularity: ") as caught:
+        with pytest.raises(SingularConfigurationError, check=with_fields(kind=kind, index=())) as caught:
             function(state)
-        assert (caught.value.kind, caught.value.index) == (kind, ())
         assert caught.value.sigma_min <= 64 * EPS * 8**0.5  # |J|² <= 8: six unit forces with arms of d/√3
     with pytest.raises(SingularConfigurationError):
         leg_rates(inverse, np.zeros(6))
@@ -167,7 +105,7 @@ def test_singular_states(name):
 
 
 def test_singular_members_of_a_batch_are_marked_and_the_others_computed():
-    good, bad = in_stages(PAPER, *REGULAR), in_stages(PAPER, *FLAT)
+    good, bad = REGULAR, FLAT
     absent = np.full((3, 3), np.nan)
     joints = np.array([[good.middle_joints, absent], [bad.middle_joints, bad.middle_joints]])
     pose = np.array([[good.pose.as_matrix()] * 2, [bad.pose.as_matrix()] * 2])
@@ -200,10 +138,10 @@ def test_singular_members_of_a_batch_are_marked_and_the_others_computed():
 
 @pytest.mark.parametrize("path", PATHS)
 def test_singular_means_singular_to_rounding(path):
-    make, value = crossing(path, PAPER)
-    matrix, function = (2, inverse_jacobian) if path == "inverse" else (0, platform_jacobian)
+    matrix, function = PATHS[path], inverse_jacobian if path == "inverse" else platform_jacobian
+    make, value = problems.singular_path(matrix, *problems.PAPER_TILTS[matrix])
     decisions = []
-    for offset in np.logspace(-16, -10, 121):
+    for offset in np.logspace(-16, -10, 61):
         state = make(value + offset)
         sigma = np.linalg.svd(problems.wrench_matrices(state)[matrix], compute_uv=False)
         relative = sigma[-1] / (64 * EPS * sigma[0])

@@ -50,16 +50,9 @@ def test_all_limits_hold_and_some_limit_is_used(
     assert (np.abs(moved - step) <= 0.00802 * jumps * period**3 + 1e-14).all()
 
 
-@pytest.mark.slow
-def test_twice_as_fine_a_grid_shortens_a_winding_motion_by_less_than_a_hundredth() -> None:
-    limits = {"leg_accelerations": 5.0, "leg_rates": 0.6, "leg_jerks": 40.0}
-    usual, fine = (spm.time_optimal(CHAIN, WINDING, **limits, grid=grid).times[-1] for grid in (2000, 4000))
-    assert 0.99 * usual < fine < usual
-
-
 @pytest.mark.parametrize(
     ("path", "jerk", "steps"),
-    [(CURVE, 40.0, 40), *(pytest.param(path, 400.0, 120, marks=pytest.mark.slow) for path in (LINE, CURVE))],
+    [(CURVE, 40.0, 40), pytest.param(LINE, 400.0, 120, marks=pytest.mark.slow)],
 )
 def test_a_transcription_in_time_finds_the_same_duration(path: LegPath, jerk: float, steps: int) -> None:
     motion = spm.time_optimal(CHAIN, path, leg_rates=0.6, leg_accelerations=3.0, leg_jerks=jerk)
@@ -104,10 +97,9 @@ def shooting_duration(path: LegPath, rate: float, acceleration: float, jerk: flo
     return float(problem.solve().value(total))
 
 
-@pytest.mark.parametrize("path", [LINE, POSES, *(pytest.param(x, marks=pytest.mark.slow) for x in (CURVE, WINDING))])
+@pytest.mark.parametrize("path", [LINE, POSES, pytest.param(CURVE, marks=pytest.mark.slow)])
 def test_a_large_jerk_takes_no_longer_than_none(path: object) -> None:
     limits = {"leg_forces": 1500.0, "leg_rates": 0.6, "leg_accelerations": 5.0}
-    # On 500 points the winding path takes 2 % longer with the limit, as its `error` says.
     fast, smooth = (spm.time_optimal(CHAIN, path, **limits, leg_jerks=jerk, grid=1000) for jerk in (None, 1e6))  # type: ignore[arg-type]
     assert smooth.times[-1] == pytest.approx(fast.times[-1], rel=0.01)
 

@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from balancers import stage_and_height
+from error_fields import with_fields
 
 import spm_pin as spm
 from spm_pin.errors import ArgumentError
@@ -33,8 +34,9 @@ def test_a_line_of_readings_takes_the_time_of_a_trapezoid(machine: str) -> None:
     np.testing.assert_allclose(np.abs(motion.velocities[:, chain.leg_indices]).max(), rate, rtol=1e-5)
 
 
-@pytest.mark.parametrize("of_poses", [False, True])
-@pytest.mark.parametrize("machine", MACHINES)
+@pytest.mark.parametrize(
+    ("machine", "of_poses"), [("RPS", False), ("PRS as built", True), ("RRS", False), ("RRS as built", True)]
+)
 def test_the_power_of_the_actuators_changes_the_energy(machine: str, of_poses: bool) -> None:
     chain, *plans = problem(machine)
     distance = np.abs(np.diff(plans[0].path([0.0, 1.0]).lengths, axis=0)).max()
@@ -70,8 +72,7 @@ def test_forces_and_jerks_of_three_legs_limit_the_motion() -> None:
 def test_limits_of_another_number_of_legs_are_refused() -> None:
     chain, plan, _ = problem("RRS")
     for name, value in (("leg_rates", [1.0] * 6), ("leg_forces", [1.0] * 6), ("leg_jerks", np.ones((2, 3)))):
-        with pytest.raises(ArgumentError) as error:
+        with pytest.raises(ArgumentError, check=with_fields(argument=name)):
             spm.time_optimal(chain, plan, **{"leg_accelerations": 1.0, name: value})
-        assert error.value.argument == name
     with pytest.raises(spm.GeometryError):
         spm.time_optimal(spm.ClosedChain.from_urdf(), plan, leg_accelerations=1.0)

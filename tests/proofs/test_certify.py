@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 import spm_pin as spm
 from spm_pin.kinematics.intervals import Interval
 from spm_pin.kinematics.path_following import existing_share
-from spm_pin.proofs.stage_proof import StageProof, StageRegion, configuration_at, has_one_state, region_coordinates
+from spm_pin.proofs.stage_proof import StageProof, StageRegion, has_one_state, region_coordinates
 from spm_pin.support.arguments import FloatArray
 
 PAPER = spm.Manipulator.paper()
@@ -134,17 +134,6 @@ def test_boxes_contain_the_values_of_forty_digits(seed: int) -> None:
             assert mpmath.mpf(float(square.low)) <= length**2 <= mpmath.mpf(float(square.high))
 
 
-def test_stage_coordinates_and_back() -> None:
-    legs = np.random.default_rng(2).uniform(1.1, 1.5, 6)
-    state = spm.forward_physical(PAPER, legs)
-    back = configuration_at(PAPER, region_coordinates(state))
-    np.testing.assert_allclose(back.leg_lengths, legs, atol=1e-14)
-    np.testing.assert_allclose(back.translation, state.translation, atol=1e-14)
-    pose = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
-    turned = spm.inverse_displacement(PAPER, pose)["FF+"]
-    assert np.isnan(region_coordinates(turned)).all()
-
-
 @pytest.mark.parametrize("seed", range(6))
 def test_limits_with_a_known_singularity_are_never_certified(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -167,7 +156,13 @@ def test_counterexample_is_singular_in_fifty_digits_and_within_the_limits() -> N
     assert not found.holds
     assert limits.contains(found.witness.leg_lengths)
     assert found.witness.closure_residual < 1e-14
-    assert "forward singular" in found.explain()
+    assert found.verdict == "not proved"
+    text = found.explain()
+    assert "a configuration of the nominal machine within the limits is forward singular" in text
+    # Seen from this singular state the machine as assembled ends, or is elsewhere: of equal readings found by itself.
+    physical = spm.forward_physical(PAPER, found.witness.readings)
+    is_same = np.abs(physical.balls - found.witness.balls).max() < 1e-6
+    assert ("a regular one: |det J| is" in text) is not is_same
     with mpmath.workdps(50):
         for proof, hips in zip(found.stages, (PAPER.base_radius, PAPER.platform_radius), strict=True):
             state = proof.singular
@@ -180,27 +175,6 @@ def test_counterexample_is_singular_in_fifty_digits_and_within_the_limits() -> N
             assert signs == {-1, 1}, "D changes its sign within 1e-12 of the state"
 
 
-def half_width_of_the_first_fold(machine: spm.Manipulator, middle: float) -> float:
-    """Return the least half-width of equal limits at which a lower stage, of 2,000 directions sampled, has a fold."""
-    directions = np.random.default_rng(0).uniform(-1.0, 1.0, (2_000, 6))
-    directions[:8, :3] = list(product((-1, 1), repeat=3))
-    directions[:, 3:] = 0.0
-    ends = middle + 0.999 * middle * directions / np.abs(directions).max(axis=-1, keepdims=True)
-    shares = existing_share(partial(spm.forward_physical, machine), np.full(6, middle), ends, parts=64)
-    return 0.999 * middle * float(shares.min())
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("hips", "side", "middle"), [(PAPER.base_radius, 0.8, 1.3), (0.5, 0.6, 1.0), (0.9, 0.7, 1.4)])
-def test_limits_certify_until_shortly_before_the_first_singularity(hips: float, side: float, middle: float) -> None:
-    # Both stages are the same.
-    machine = spm.Manipulator(hips, hips, side)
-    fold = half_width_of_the_first_fold(machine, middle)
-    assert spm.certify(machine, spm.LegLimits(middle - 0.9 * fold, middle + 0.9 * fold)).holds
-    assert not spm.certify(machine, spm.LegLimits(middle - 1.01 * fold, middle + 1.01 * fold), boxes=60_000).holds
-    assert spm.certify(machine, spm.LegLimits(middle - 1.1 * fold, middle + 1.1 * fold)).witness is not None
-
-
 @pytest.mark.parametrize("half", [0.1, 0.02, 1e-4])
 def test_bounds_of_narrow_limits_are_within_a_factor_of_two_of_a_sample(half: float) -> None:
     found = spm.certify(PAPER, spm.LegLimits(1.3 - half, 1.3 + half))
@@ -211,24 +185,18 @@ def test_bounds_of_narrow_limits_are_within_a_factor_of_two_of_a_sample(half: fl
     assert (np.array(found.bounds) > [0.30, 0.48]).all()
 
 
-# In the second machine a singular state that is not joined to the home does not narrow the limits.
+# In the last machine a singular state that is not joined to the home does not narrow the limits.
 @pytest.mark.parametrize(
-    ("machine", "centre", "least"), [(PAPER, 1.3, 0.15), (spm.Manipulator(1.0, 1.0, 3.0), 3.6, 0.85)]
+    ("machine", "centre", "error", "least"),
+    [(PAPER, 1.3, 1e-3, 0.15), (spm.Manipulator(1.0, 1.0, 3.0), 3.6, 0.0, 0.85)],
 )
-def test_the_widest_limits_hold(machine: spm.Manipulator, centre: float, least: float) -> None:
-    found = spm.largest_certified_limits(machine, centre, tolerance=0.2, boxes=60_000)
+def test_the_widest_limits_hold(machine: spm.Manipulator, centre: float, error: float, least: float) -> None:
+    options = {"tolerance": 0.2, "boxes": 60_000, "length_error": error, "angle_error": error}
+    found = spm.largest_certified_limits(machine, centre, **options)
     assert found.holds
+    assert found.errors == (error, error)
     assert found.limits.maximum[0] - centre > least
     assert found.limits.minimum[0] == pytest.approx(2.0 * centre - found.limits.maximum[0])
-
-
-def test_limits_that_differ_from_leg_to_leg() -> None:
-    limits = spm.LegLimits((1.15, 1.2, 1.3, 1.1, 1.25, 1.4), (1.2, 1.28, 1.4, 1.2, 1.3, 1.45))
-    found = spm.certify(PAPER, limits)
-    assert found.holds
-    middle = spm.forward_physical(PAPER, 0.5 * (np.array(limits.minimum) + np.array(limits.maximum)))
-    assert found.covers(middle)
-    assert not found.covers(spm.forward_physical(PAPER, np.full(6, 1.3)))
 
 
 def test_too_few_boxes_leave_it_undecided() -> None:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from error_fields import with_fields
 from problems import PAPER
 from scipy.optimize import minimize
 
 import spm_pin as spm
-from spm_pin.workspace.boundary import Boundary, BoundaryPoints, _Grid, reachable_boundary
+from spm_pin.workspace.boundary import Boundary, BoundaryPoints, reachable_boundary
 from spm_pin.workspace.positions import reachable_position
-from spm_pin.workspace.search import search_states
-from spm_pin.workspace.states import states_within
 
 NARROW = spm.LegLimits(1.2, 1.4)
 LEGS_APART = spm.LegLimits([1.2, 1.25, 1.2, 1.2, 1.2, 1.3], [1.4, 1.4, 1.35, 1.4, 1.4, 1.4])
@@ -19,7 +18,7 @@ LEGS_APART = spm.LegLimits([1.2, 1.25, 1.2, 1.2, 1.2, 1.3], [1.4, 1.4, 1.35, 1.4
 
 @pytest.fixture(scope="module")
 def boundary() -> Boundary:
-    return reachable_boundary(PAPER, spacing=0.2)
+    return reachable_boundary(PAPER, spacing=0.3)
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +80,7 @@ def test_boundary_points_moved_outwards_are_unreachable_and_inwards_reachable(po
 def test_a_solver_for_constrained_optimisation_gets_no_farther_out(points: BoundaryPoints) -> None:
     """No leg lengths that keep o within 3 cm of a boundary point's normal line put it farther out nearby."""
     rng = np.random.default_rng(3)
-    for k in range(6):
+    for k in range(3):
         place, normal = points.position[k], points.normal[k]
 
         def off(legs: np.ndarray, place: np.ndarray = place) -> np.ndarray:
@@ -124,21 +123,5 @@ def test_the_search_reports_progress_and_can_be_interrupted() -> None:
 
 
 def test_a_spacing_in_millimetres_is_refused() -> None:
-    with pytest.raises(spm.ArgumentError, match="millimetres"):
+    with pytest.raises(spm.ArgumentError, check=with_fields(argument="spacing")):
         reachable_boundary(PAPER, spacing=1e-3)
-
-
-def test_no_reachable_node_of_a_coarse_grid_is_left_out() -> None:
-    """Also where the table of distances says too much of nodes far from the set."""
-    states = states_within(PAPER)
-    grid = _Grid(states, 0.3, None)
-    nodes = grid.origin + 0.3 * np.indices(grid.inside.shape).reshape(3, -1).T
-    assert grid.inside.ravel()[search_states(states, nodes).reached].all()
-
-
-@pytest.mark.slow
-def test_thousands_of_boundary_points_obey_the_theorem() -> None:
-    points = reachable_boundary(PAPER, spacing=0.2).sample(2_000, rng=5)
-    check_theorem(points, spm.LegLimits(1.1, 1.5))
-    outside = reachable_position(PAPER, points.position[:1000] + 1e-3 * points.normal[:1000])
-    assert not outside.reachable.any()

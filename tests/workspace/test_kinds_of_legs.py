@@ -1,4 +1,4 @@
-"""The reachable set of PRS and RRS legs: against the forward displacement, differences, and random readings."""
+"""The reachable set, for legs of each kind: against the forward displacement, differences, and random readings."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from kinds_of_legs import machine_of_kinds
+from kinds_of_legs import machine_of_kinds, sampled_clearance
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
@@ -16,7 +16,10 @@ from spm_pin.workspace import leg_clearance, nearest_reachable_pose, pose_distan
 from spm_pin.workspace.states import StateSet, states_within
 
 LIMITS = {"RPS": (1.1, 1.5), "PRS": (-0.5, 0.1), "RRS": (0.2, 1.2), "PRS hanging": (2.4, 3.0)}
-MACHINES = [("PRS", "PRS", False), ("RRS", "PRS", True), ("RPS", "RRS", True), ("PRS hanging", "PRS hanging", True)]
+MACHINES = [
+    *(("RPS", "RPS", False), ("RPS", "RPS", True), ("PRS", "PRS", False)),
+    *(("RRS", "PRS", True), ("RPS", "RRS", True), ("PRS hanging", "PRS hanging", True)),
+]
 NAMES = [f"{lower} and {upper}{', calibrated' * built}" for lower, upper, built in MACHINES]
 
 
@@ -37,10 +40,13 @@ def within(machine: spm.Manipulator) -> StateSet:
 
 
 def random_states(machine: spm.Manipulator, count: int, seed: int) -> spm.Configuration:
-    """Return states at readings drawn uniformly, which no search has seen."""
+    """Return states at readings drawn uniformly, which no search has seen; some have legs at limits."""
     assert machine.limits is not None
     rng = np.random.default_rng(seed)
-    readings = rng.uniform(machine.limits.minimum, machine.limits.maximum, (60 * count, 6))
+    share = rng.uniform(size=(60 * count, 6))
+    share = np.where((rng.random((len(share), 1)) < 0.25) & (rng.random(share.shape) < 0.5), share.round(), share)
+    low, high = np.array([machine.limits.minimum, machine.limits.maximum])
+    readings = low + share * (high - low)
     found = spm.forward_physical(machine, readings)
     return found[found.exists][:count]
 
@@ -52,6 +58,10 @@ def test_coordinates_are_those_of_the_forward_displacement(machine: spm.Manipula
     again = within.states(coordinates)
     np.testing.assert_allclose(again.translation, states.translation, atol=1e-12)
     np.testing.assert_allclose(again.rotation, states.rotation, atol=1e-12)
+    np.testing.assert_allclose(again.balls, states.balls, atol=1e-12)
+    joints = within.positions(coordinates, machine.platform_joints).reshape(-1, 3, 3)
+    for k, joint in enumerate(machine.platform_joints):
+        np.testing.assert_allclose(joints[:, k], states.pose.apply(joint), atol=1e-12)
 
 
 def test_the_set_holds_what_is_physical_within_the_limits_and_within_reach(
@@ -98,7 +108,7 @@ def test_positions_of_random_readings_are_reachable_and_the_readings_found_lead_
     machine: spm.Manipulator,
 ) -> None:
     assert machine.limits is not None
-    states = random_states(machine, 60, 3)
+    states = random_states(machine, 40, 3)
     away = states.translation + np.random.default_rng(4).normal(0.0, 0.3, (len(states), 3))
     for points, all_reached in ((states.translation, True), (away, False)):
         reach = reachable_position(machine, points)
@@ -130,25 +140,17 @@ def test_no_state_that_a_random_search_finds_is_nearer_than_the_nearest(machine:
 def test_a_reachable_pose_is_said_to_be_one(machine: spm.Manipulator) -> None:
     states = random_states(machine, 20, 7)
     answer = reachable(machine, states.pose)
-    assert answer.reachable.all()
+    # With all legs of a stage at one limit the pose is degenerate.
+    assert (answer.reachable | answer.undecided).all()
+    assert answer.reachable.mean() > 0.9
     assert nearest_reachable_pose(machine, states.pose[0]).distance < 1e-7
 
 
 def test_the_distance_of_legs_is_that_of_points_along_them(machine: spm.Manipulator) -> None:
     states = random_states(machine, 5, 8)
-    share = np.linspace(0.0, 1.0, 101)[:, None]
-    for state, least in zip(states, leg_clearance(states), strict=True):
-        corners = np.stack([state.leg_bases, state.circle_centres, state.balls])
-        lines = [
-            np.concatenate(
-                [(1.0 - share) * p + share * q for p, q in zip(corners[:-1, leg], corners[1:, leg], strict=True)]
-            )
-            for leg in range(6)
-        ]
-        pairs = [(i, j) for i in range(6) for j in range(i + 1, 6) if j != i + 3]
-        apart = min(np.linalg.norm(lines[i][:, None] - lines[j], axis=-1).min() for i, j in pairs)
-        assert least <= apart + 1e-12
-        assert least == pytest.approx(apart, abs=0.03)
+    apart = sampled_clearance(states, [(i, j) for i in range(6) for j in range(i + 1, 6) if j != i + 3])
+    assert (leg_clearance(states) <= apart + 1e-12).all()
+    np.testing.assert_allclose(leg_clearance(states), apart, atol=0.03)
 
 
 def test_limits_of_angles_have_to_be_finite() -> None:

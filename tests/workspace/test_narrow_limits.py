@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from error_fields import with_fields
 from problems import PAPER
 
 import spm_pin as spm
@@ -17,8 +18,8 @@ def limited(half: float) -> spm.Manipulator:
     return replace(PAPER, limits=spm.LegLimits(READINGS - half, READINGS + half))
 
 
-@pytest.mark.parametrize("half", [1e-3, 3e-4])
-def test_the_volume_of_poses_is_that_of_readings_over_the_determinant(half: float) -> None:
+def test_the_volume_of_poses_is_that_of_readings_over_the_determinant() -> None:
+    half = 3e-4
     machine = limited(half)
     expected = (2.0 * half) ** 6 / abs(np.linalg.det(spm.inverse_jacobian(spm.forward_physical(machine, READINGS))))
     estimate = spm.workspace.pose_volume(machine, samples=4_000, rng=0)
@@ -26,9 +27,8 @@ def test_the_volume_of_poses_is_that_of_readings_over_the_determinant(half: floa
 
 
 def test_a_set_too_small_to_be_hit_is_refused() -> None:
-    with pytest.raises(spm.ArgumentError) as refused:
+    with pytest.raises(spm.ArgumentError, check=with_fields(argument="limits")):
         spm.workspace.pose_volume(limited(1e-6), samples=100, rng=0)
-    assert refused.value.argument == "limits"
 
 
 @pytest.mark.parametrize("half", [1e-4, 1e-7])

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
+from error_fields import with_fields
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
@@ -29,32 +28,12 @@ def random_targets(count, seed=3):
     return [moved(START.pose, rng.normal(0.0, 0.3, 3), rng.normal(0.0, 0.3, 3)) for _ in range(count)]
 
 
-@pytest.mark.parametrize(
-    ("machine", "near"),
-    [(PAPER, START), (PAPER, None), (BUILT, None)],
-    ids=["from a state", "from the sample", "as built"],
-)
-def test_nothing_within_the_limits_is_nearer(machine, near):
-    rng = np.random.default_rng(3)
-    nearer = []
-    for target in random_targets(6):
-        found = nearest_reachable_pose(machine, target, near=near)
-        readings = found.configuration.readings
-        assert PAPER.limits.margin(readings) >= -1e-12
-        # The same mode all over the box: any readings will do, near to the result and far away.
-        steps = rng.normal(0.0, 1.0, (500, 6)) * np.geomspace(1e-4, 0.3, 500)[:, None]
-        others = spm.forward_physical(machine, np.clip(readings + steps, 1.1, 1.5))
-        assert others.exists.all()
-        nearer.append(found.distance - pose_distance(machine, others.pose, target).min())
-    assert max(nearer) < 2e-5
-
-
 @pytest.mark.parametrize("family", spm.machine.FAMILIES)
 def test_without_limits_the_branch_is_real_and_nothing_found_at_random_is_nearer(family):
     rng = np.random.default_rng(spm.machine.FAMILIES.index(family))
     place = 2 * spm.machine.FAMILIES.index(family)
     tried = 0
-    while tried < 4:
+    while tried < 2:
         target = spm.pose(rng.normal([0.0, 0.0, 2.2], [0.9, 0.9, 0.3]), xyx=rng.normal(0.0, 0.6, 3))
         if spm.inverse_displacement(FREE, target).exists[place]:
             continue
@@ -65,19 +44,12 @@ def test_without_limits_the_branch_is_real_and_nothing_found_at_random_is_nearer
         assert found.distance == pytest.approx(pose_distance(FREE, nearest, target))
         # Poses around the result and around the target, of every size of step.
         for centre in (nearest, target):
-            size = np.geomspace(1e-4, 1.0, 3000)[:, None] * found.distance
-            shifts, turns = rng.normal(0.0, 1.0, (2, 3000, 3)) * size
+            size = np.geomspace(1e-4, 1.0, 1500)[:, None] * found.distance
+            shifts, turns = rng.normal(0.0, 1.0, (2, 1500, 3)) * size
             rotation = Rotation.from_rotvec(turns / FREE.platform_radius) * centre.rotation
             poses = spm.pose(centre.translation + shifts, rotation=rotation)
             real = spm.inverse_displacement(FREE, poses).exists[:, place]
             assert pose_distance(FREE, poses[real], target).min(initial=np.inf) > found.distance - 1e-4
-
-
-def test_for_a_fixed_orientation_the_edge_is_where_the_discriminant_vanishes():
-    found = nearest_reachable_pose(FREE, TARGET).configuration
-    index = spm.inverse_displacement(FREE, found.pose).discriminants[0]
-    assert 0.0 <= index < 1e-6
-    assert spm.singularities(found).sigma[2] < 1e-3
 
 
 @pytest.mark.parametrize("limits", [None, spm.LegLimits(0.0, np.inf)], ids=["limited", "unlimited"])
@@ -107,21 +79,21 @@ def test_distance_is_that_of_the_platform_joints():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "named"),
+    ("arguments", "argument"),
     [
         ({"limits": spm.LegLimits(0.0, np.inf), "branch": "TX+"}, "branch"),
         ({"branch": "TT+"}, "branch"),
         ({"near": spm.forward_physical(PAPER, [1.0] * 6)}, "near"),
         ({"near": spm.forward_physical(spm.Manipulator(0.5, 0.5, 0.5), [1.2] * 6)}, "near"),
+        ({"limits": spm.LegLimits(1100, 1500)}, "limits"),
     ],
 )
-def test_wrong_arguments_are_named(arguments, named):
-    with pytest.raises(spm.ArgumentError, match=named):
+def test_wrong_arguments_are_named(arguments, argument):
+    with pytest.raises(spm.ArgumentError, check=with_fields(argument=argument)):
         nearest_reachable_pose(**{"machine": PAPER, "pose": START.pose, **arguments})
 
 
-@pytest.mark.parametrize("machine", [PAPER, BUILT], ids=["as drawn", "as built"])
-@pytest.mark.parametrize("limits", [(1.1, 1.5), (0.6, 2.0)])
+@pytest.mark.parametrize(("machine", "limits"), [(PAPER, (0.6, 2.0)), (BUILT, (1.1, 1.5))], ids=["wide", "as built"])
 def test_a_drag_stays_within_the_limits_and_comes_never_farther(
     machine: spm.Manipulator, limits: tuple[float, float]
 ) -> None:
@@ -170,19 +142,6 @@ def test_within_wide_limits_a_search_does_not_stop_in_a_bad_minimum(
     assert pose_distance(PAPER, nearest.configuration.pose, target) < most
     assert limits.contains(nearest.configuration.readings)
     assert spm.inverse_physical(PAPER, nearest.configuration.pose, near=nearest.configuration).exists
-
-
-@pytest.mark.parametrize(
-    "ask",
-    [
-        lambda machine, limits: nearest_reachable_pose(machine, spm.pose([0.1, 0.0, 2.4], rpy=[0.0, 0.1, 0.0]), limits),
-        lambda machine, limits: spm.certify(machine, limits),
-        lambda machine, limits: spm.plan(machine, [1.2] * 6, [1.3] * 6, limits),
-    ],
-)
-def test_leg_limits_in_another_unit_are_refused(ask: Callable[[spm.Manipulator, spm.LegLimits], object]) -> None:
-    with pytest.raises(spm.GeometryError, match=r"limits: .*is it 1500 mm\?"):
-        ask(spm.Manipulator.paper(), spm.LegLimits(1100, 1500))
 
 
 def test_one_pose_needs_no_large_sample() -> None:

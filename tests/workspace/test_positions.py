@@ -10,42 +10,11 @@ from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 from spm_pin.crosscheck.paper_shell import sample_positions_near_limits
-from spm_pin.kinematics.kernels import RESOLUTION
 from spm_pin.workspace import reachable_position
 from spm_pin.workspace.search import nearest_points, start_table
 from spm_pin.workspace.states import states_within
 
 BUILT = PAPER.perturbed(3, length=5e-3, angle=5e-3)
-
-
-def test_upper_legs_that_reach_a_point_are_found_from_the_lower_ones() -> None:
-    legs = np.random.default_rng(2).uniform(1.1, 1.5, (2000, 6))
-    states = spm.forward_physical(PAPER, legs)
-    within = states_within(PAPER)
-    coordinates = within.coordinates(states)
-    upper = within.upper_for(coordinates[:, 0], states.translation)
-    # The only ones within the limits: no two upper stages see o in the same place there.
-    np.testing.assert_allclose(upper, coordinates[:, 1], atol=1e-10)
-
-
-@pytest.mark.parametrize("machine", [PAPER, BUILT], ids=["as drawn", "as built"])
-def test_positions_of_readings_within_limits_are_reachable(machine: spm.Manipulator) -> None:
-    rng = np.random.default_rng(3)
-    share = rng.uniform(size=(400, 6))
-    # A quarter of them with legs at limits, hence on or near the boundary.
-    share[:100] = np.where(rng.uniform(size=(100, 6)) < 0.5, np.round(share[:100]), share[:100])
-    position = spm.forward_physical(machine, 1.1 + 0.4 * share).translation
-    answer = reachable_position(machine, position)
-    assert answer.reachable.all()
-    assert (answer.distance == 0.0).all()
-    assert spm.LegLimits(1.1, 1.5).contains(answer.readings).all()
-    again = spm.forward_physical(machine, answer.readings).translation
-    assert (
-        np.abs(again - position).max()
-        <= (1.0 if machine.is_nominal else 2.0) * RESOLUTION * states_within(machine).size
-    )
-    # Errors of 5 mm move the boundary by centimetres: not all of these are reached by the drawn machine.
-    assert reachable_position(PAPER, position).reachable.all() == machine.is_nominal
 
 
 def test_far_points_are_not_reachable_and_have_a_distance() -> None:
@@ -56,27 +25,6 @@ def test_far_points_are_not_reachable_and_have_a_distance() -> None:
     # Straight above, all legs at their longest are nearest.
     height = spm.forward_physical(PAPER, [1.5] * 6).translation[2]
     assert answer.distance[2] == pytest.approx(40.0 - height, abs=1e-9)
-
-
-def test_no_set_of_lower_legs_reaches_a_point_said_to_be_out_of_reach() -> None:
-    """On a grid of 16³ lower stages, each with the upper legs that then put o there."""
-    rng = np.random.default_rng(5)
-    extent = start_table(states_within(PAPER)).extent
-    points = rng.uniform(*extent, (20, 3))
-    answer = reachable_position(PAPER, points)
-    assert 3 <= answer.reachable.sum() <= 17
-    grid = np.stack(np.meshgrid(*[np.linspace(1.1, 1.5, 16)] * 3), axis=-1).reshape(-1, 3)
-    within = states_within(PAPER)
-    lower = within.coordinates(spm.forward_physical(PAPER, np.concatenate([grid, np.full_like(grid, 1.3)], axis=-1)))
-    for k in range(20):
-        upper = within.upper_for(lower[:, 0], np.broadcast_to(points[k], (len(grid), 3)))
-        legs = within.readings(np.stack([lower[:, 0], upper], axis=1))[:, 3:]
-        with np.errstate(invalid="ignore"):
-            hit = ((legs >= 1.1) & (legs <= 1.5)).all(axis=-1).any()
-            # Between two lower stages of the grid the upper legs change by 0.1 m at most: else nothing was missed.
-            near = ((legs >= 1.0) & (legs <= 1.6)).all(axis=-1).any()
-        assert not (hit and not answer.reachable[k])
-        assert not (answer.reachable[k] and not near)
 
 
 @pytest.mark.parametrize("shape", [(), (1,), (3, 1, 2), (0,)])
@@ -92,9 +40,9 @@ def test_shapes(shape: tuple[int, ...]) -> None:
 def test_states_with_the_optimality_conditions_are_nearest_among_many(machine: spm.Manipulator) -> None:
     extent = start_table(states_within(machine)).extent
     rng = np.random.default_rng(7)
-    points = rng.uniform(extent[0] - 0.2, extent[1] + 0.2, (200, 3))
+    points = rng.uniform(extent[0] - 0.2, extent[1] + 0.2, (80, 3))
     nearest = nearest_points(states_within(machine), points)
-    sample = spm.forward_physical(machine, 1.1 + 0.4 * rng.beta(0.3, 0.3, (20_000, 6))).translation
+    sample = spm.forward_physical(machine, 1.1 + 0.4 * rng.beta(0.3, 0.3, (10_000, 6))).translation
     least = np.array([np.sqrt(((sample - point) ** 2).sum(axis=-1)).min() for point in points])
     assert (nearest.distance <= least + 1e-9).all()
     assert (nearest.optimality < 1e-6).all()

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 import pytest
+from error_fields import with_fields
 from problems import PAPER, in_leg_space, random_branches
-from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.machine import joint_angles
 from spm_pin.machine.branch_of_state import physical
-from spm_pin.workspace import JointLimits, leg_clearance, reachable, sample_reachable
+from spm_pin.workspace import JointLimits, reachable, sample_reachable
 from spm_pin.workspace.states import pose_multiplicity, states_within
 
 LIMITS = spm.LegLimits(1.1, 1.5)
@@ -111,13 +108,13 @@ def test_joint_limits_exclude_what_violates_them() -> None:
 
 
 def test_limits_without_a_sample_are_refused() -> None:
-    for words, call in (
-        ("infinity for r_b1", lambda: sample_reachable(PAPER, 1, spm.LegLimits(1.0, np.inf))),
-        ("none of its own", lambda: sample_reachable(spm.Manipulator(0.7, 0.35, 0.8), 1)),
-        ("assembled", lambda: sample_reachable(PAPER, 1, spm.LegLimits(0.15, 0.2))),
+    for machine, limits in (
+        (PAPER, spm.LegLimits(1.0, np.inf)),
+        (spm.Manipulator(0.7, 0.35, 0.8), None),
+        (PAPER, spm.LegLimits(0.15, 0.2)),
     ):
-        with pytest.raises(spm.ArgumentError, match=words):
-            call()
+        with pytest.raises(spm.ArgumentError, check=with_fields(argument="limits")):
+            sample_reachable(machine, 1, limits)
 
 
 def test_a_sample_in_leg_space_is_uniform_there_and_repeatable() -> None:
@@ -135,14 +132,14 @@ def test_a_sample_in_leg_space_is_uniform_there_and_repeatable() -> None:
 def test_a_sample_of_poses_is_uniform_in_pose_space() -> None:
     """As often in each of two boxes of poses as uniform poses that are reachable by the inverse displacement."""
     steps: list[int] = []
-    states = sample_reachable(PAPER, 16_000, space="poses", rng=9, progress=lambda what, done, of: steps.append(done))
-    assert steps[-1] == 16_000
+    states = sample_reachable(PAPER, 5_000, space="poses", rng=9, progress=lambda what, done, of: steps.append(done))
+    assert steps[-1] == 5_000
     determinant = np.linalg.det(spm.kinematics.platform_jacobian(states))
     weight = np.abs(determinant) / pose_multiplicity(states_within(PAPER), states)
     # Weighted back, leg lengths are uniform, but that pairs of states with one pose count one half each.
     share = (states.leg_lengths - 1.1) / 0.4
     mean = (share / weight[:, None]).sum(axis=0) / (1.0 / weight).sum()
-    assert mean == pytest.approx(0.5, abs=0.05)
+    assert mean == pytest.approx(0.5, abs=0.08)
 
     rng = np.random.default_rng(10)
     vectors = states.pose.rotation.as_rotvec()
@@ -152,7 +149,7 @@ def test_a_sample_of_poses_is_uniform_in_pose_space() -> None:
         inside = (np.abs(states.translation - centre) < box).all(axis=-1)
         centre_turn, half = np.median(vectors[inside], axis=0), np.array([0.2, 0.2, 0.03])
         hits.append((inside & (np.abs(vectors - centre_turn) < half).all(axis=-1)).sum())
-        n = 20_000
+        n = 12_000
         position = centre + rng.uniform(-box, box, (n, 3))
         turn = centre_turn + half * rng.uniform(-1.0, 1.0, (n, 3))
         rotation = spm.pose(position, rotation=Rotation.from_rotvec(turn))
@@ -160,67 +157,13 @@ def test_a_sample_of_poses_is_uniform_in_pose_space() -> None:
         # Rotation vectors carry the uniform measure of rotations times this.
         density = (2.0 * np.sin(0.5 * angle) / angle) ** 2
         uniform.append((reachable(PAPER, rotation).reachable * density).sum())
-    assert min(hits) > 60
+    assert min(hits) > 15
     expected = np.array(uniform) / np.sum(uniform)
     error = np.sqrt(expected.prod() * (1.0 / np.sum(hits) + 1.0 / np.sum(uniform)))
     assert hits[0] / np.sum(hits) == pytest.approx(expected[0], abs=4.0 * error)
 
 
-@pytest.mark.parametrize("space", ["legs", "poses"])
-def test_random_states_of_a_machine_as_built(space: str) -> None:
-    states = sample_reachable(BUILT, 300, space=space, rng=1)  # type: ignore[arg-type]
-    assert states.machine == BUILT
-    assert states.closure_residual.max() < 1e-13
-    assert spm.LegLimits(1.1 - 1e-12, 1.5 + 1e-12).contains(states.readings).all()
-    assert physical(states).all()
-    again = spm.forward_physical(BUILT, states.readings)
-    np.testing.assert_allclose(again.translation, states.translation, atol=1e-9)
-    assert reachable(BUILT, states.pose).reachable.mean() > 0.99
-
-
 # --- Limits of passive joints, and the distance between legs ---------------------------------------------------------
-
-
-@pytest.mark.parametrize("machine", [PAPER, BUILT], ids=["as drawn", "as built"])
-def test_clearance_is_the_least_distance_of_two_legs_without_a_common_joint(machine: spm.Manipulator) -> None:
-    states = spm.forward_physical(machine, in_leg_space(PAPER, 6, 3).configuration.leg_lengths)
-    found = leg_clearance(states)
-    for k in range(6):
-        state = states[k]
-        starts = np.concatenate([machine.legs.pivots[:3], state.balls[3:]])
-        squares = []
-        for i, j in itertools.combinations(range(6), 2):
-            if j == i + 3:
-                continue
-            start, u, v = starts[i] - starts[j], state.leg_vectors[i], state.leg_vectors[j]
-
-            def gap(share: np.ndarray, start: np.ndarray = start, u: np.ndarray = u, v: np.ndarray = v) -> float:
-                return float(((start + share[0] * u - share[1] * v) ** 2).sum())
-
-            # A convex function on a square: any start leads to the minimum.
-            answer = minimize(gap, [0.5, 0.5], bounds=[(0, 1), (0, 1)], method="L-BFGS-B", options={"ftol": 1e-15})
-            squares.append(answer.fun)
-        assert found[k] == pytest.approx(np.sqrt(min(squares)), abs=1e-6)
-
-
-def test_crossed_legs_touch() -> None:
-    """Two legs through one point inside both: nothing but the common normal sees it."""
-    mirrored = PAPER.base_joints * [-1.0, -1.0, 1.0] * (PAPER.middle_radius / PAPER.base_radius) + [0.0, 0.0, 1.2]
-    through = spm.Configuration(PAPER, spm.pose([0.0, 0.0, 2.4], rotation=np.eye(3)), mirrored)
-    assert leg_clearance(through) == pytest.approx(0.0, abs=1e-12)
-
-
-@pytest.mark.parametrize("machine", [PAPER, BUILT], ids=["as drawn", "as built"])
-def test_margins_are_the_worst_and_infinite_without_limits(machine: spm.Manipulator) -> None:
-    states = spm.forward_physical(machine, in_leg_space(PAPER, 50, 4).configuration.leg_lengths)
-    angles = joint_angles(states)
-    assert np.isposinf(JointLimits().angle_margin(states)).all()
-    assert np.isposinf(JointLimits().clearance_margin(states)).all()
-    both = JointLimits(hip=(-0.3, 0.4), ball_z=(-0.1, 0.2)).angle_margin(states)
-    hip = np.minimum(angles.passive + 0.3, 0.4 - angles.passive).min(axis=-1)
-    ball = np.minimum(angles.ball_z + 0.1, 0.2 - angles.ball_z).min(axis=-1)
-    np.testing.assert_allclose(both, np.minimum(hip, ball), atol=1e-15)
-    np.testing.assert_allclose(JointLimits(clearance=0.1).clearance_margin(states), leg_clearance(states) - 0.1)
 
 
 def test_a_state_that_does_not_exist_has_no_margin() -> None:
@@ -230,9 +173,10 @@ def test_a_state_that_does_not_exist_has_no_margin() -> None:
     assert np.isnan(limits.clearance_margin(absent)).all()
 
 
-def test_limits_that_are_exchanged_or_none_are_refused() -> None:
-    for words, limits in (("exchanged", (1.0, -1.0)), ("minimum below", (float("nan"), 1.0))):
-        with pytest.raises(spm.ArgumentError, match=words):
-            JointLimits(hip=limits)
-    with pytest.raises(spm.ArgumentError, match="clearance"):
-        JointLimits(clearance=-0.1)
+@pytest.mark.parametrize(
+    ("argument", "value"),
+    [("hip", (1.0, -1.0)), ("hip", (np.nan, 1.0)), ("ball_x", (-25.0, 25.0)), ("clearance", -0.1)],
+)
+def test_wrong_limits_of_joints_are_refused(argument: str, value: object) -> None:
+    with pytest.raises(spm.ArgumentError, check=with_fields(argument=argument)):
+        JointLimits(**{argument: value})  # type: ignore[arg-type]

@@ -4,30 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from problems import MANIPULATORS, PAPER
+from problems import PAPER
 
 import spm_pin as spm
 from spm_pin.machine.branch_of_state import FAMILIES, family, physical
 from spm_pin.workspace.states import StateSet, free_states, states_within
 
 BUILT = PAPER.perturbed(1, length=5e-3, angle=5e-3)
-
-
-@pytest.mark.parametrize("machine", [PAPER, MANIPULATORS["equal triangles"], BUILT], ids=["paper", "equal", "as built"])
-def test_states_are_those_of_the_forward_displacement(machine: spm.Manipulator) -> None:
-    readings = np.random.default_rng(1).uniform(1.15, 1.45, (300, 6))
-    states = spm.forward_physical(machine, readings)
-    assert states.exists.all()
-    within = states_within(machine, spm.LegLimits(1.1, 1.5))
-    coordinates = within.coordinates(states)
-    again = within.states(coordinates)
-    np.testing.assert_allclose(within.readings(coordinates), readings, atol=1e-12)
-    np.testing.assert_allclose(again.translation, states.translation, atol=1e-12)
-    np.testing.assert_allclose(again.rotation, states.rotation, atol=1e-12)
-    np.testing.assert_allclose(again.balls, states.balls, atol=1e-12)
-    joints = within.positions(coordinates, machine.platform_joints).reshape(-1, 3, 3)
-    for k, joint in enumerate(machine.platform_joints):
-        np.testing.assert_allclose(joints[:, k], states.pose.apply(joint), atol=1e-12)
 
 
 @pytest.mark.parametrize("machine", [PAPER, BUILT], ids=["as drawn", "as built"])
@@ -71,26 +54,6 @@ def test_the_aspect_is_that_of_physical_states_and_the_determinant_vanishes_at_i
     for stage in range(2):
         sign = np.sign(determinants[:, stage] * stages[stage].determinant)
         assert len(set(sign)) == 1
-
-
-def test_derivatives_of_readings_and_determinants_are_those_by_differences() -> None:
-    from spm_pin.kinematics.kernels.stage_states import stage_states
-
-    rng = np.random.default_rng(4)
-    for machine in (PAPER, BUILT):
-        for stage, upward in ((0, 1.0), (1, -1.0)):
-            within = states_within(machine, spm.LegLimits(1.1, 1.5))
-            coordinates = within.sample[:100, stage] + rng.normal(0.0, 0.1, (100, 3))
-
-            def run(c: np.ndarray, within=within, stage=stage, upward=upward) -> tuple[np.ndarray, np.ndarray]:
-                values, slopes, places = np.empty((100, 19)), np.empty((100, 13, 3)), np.empty(100, dtype=np.int64)
-                stage_states(c, within.legs[stage], within.radius, upward, 2.0, values, slopes, places)
-                return values, slopes
-
-            for k in range(3):
-                step = 1e-6 * np.eye(3)[k]
-                change = (run(coordinates + step)[0] - run(coordinates - step)[0]) / 2e-6
-                np.testing.assert_allclose(run(coordinates)[1][:, 3:, k], change[:, 9:], atol=1e-8)
 
 
 def test_uniform_states_of_a_stage_are_within_the_limits_and_their_volume_is_that_by_the_legs() -> None:

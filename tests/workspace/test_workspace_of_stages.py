@@ -7,6 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 from balancers import MACHINES, existing_states, stage_and_height
+from error_fields import with_fields
+from kinds_of_legs import sampled_clearance
 from scipy import optimize, stats
 
 import spm_pin as spm
@@ -15,18 +17,24 @@ from spm_pin.workspace import JointLimits, leg_clearance, orientation_workspace,
 BALANCER = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), limits=(-0.6, 1.2))
 
 
-@pytest.mark.parametrize("machine", ["RPS", "PRS as built", "RRS", "RRS as built"])
-def test_the_volume_is_that_of_the_heights_and_normals_reached(machine: str) -> None:
+def limited(machine: str) -> tuple[spm.Stage, float, spm.machine.StageLimits]:
+    """Return a stage, the height of a level state, and limits around its readings."""
     stage, height = stage_and_height(machine)
     level = spm.inverse_physical(stage, height).readings
     room = 0.3 if stage.unit == "rad" else 0.06 * stage.size
-    stage = dataclasses.replace(stage, limits=spm.machine.StageLimits(level - room, level + room))
+    return stage, height, spm.machine.StageLimits(level - room, level + room)
+
+
+@pytest.mark.parametrize("machine", ["RPS", "PRS as built", "RRS"])
+def test_the_volume_is_that_of_the_heights_and_normals_reached(machine: str) -> None:
+    stage, height, limits = limited(machine)
+    stage = dataclasses.replace(stage, limits=limits)
     whole = pose_volume(stage, samples=4096, rng=0)
     upper = pose_volume(stage, where=lambda states: states.height > height, samples=4096, rng=0)
     corners = np.stack(np.meshgrid(*stage.reading_limits.T), axis=-1).reshape(-1, 3)
     states = spm.forward_physical(stage, corners)
     low, high, tilt = 0.9 * states.height.min(), 1.1 * states.height.max(), 1.3 * states.tilt.max()
-    rng, count = np.random.default_rng(0), 200_000
+    rng, count = np.random.default_rng(0), 60_000
     heights, cosines = rng.uniform(low, high, count), rng.uniform(np.cos(tilt), 1.0, count)
     azimuths = rng.uniform(-np.pi, np.pi, count)
     reached = spm.inverse_physical(stage, heights, tilt=np.arccos(cosines), azimuth=azimuths)
@@ -37,9 +45,8 @@ def test_the_volume_is_that_of_the_heights_and_normals_reached(machine: str) -> 
         assert found.low - error < box * share < found.high + error
         assert found.unit == "m sr"
         assert found.high < 1.2 * found.value
-    with pytest.raises(spm.ArgumentError) as caught:
+    with pytest.raises(spm.ArgumentError, check=with_fields(argument="limits")):
         pose_volume(dataclasses.replace(stage, limits=None))
-    assert caught.value.argument == "limits"
 
 
 @pytest.mark.parametrize("machine", MACHINES)
@@ -54,31 +61,16 @@ def test_margins_of_passive_joints_are_those_of_angles_and_of_distances_between_
     ]
     expected = np.concatenate(worst, axis=-1).min(axis=-1)
     np.testing.assert_allclose(limits.angle_margin(states), expected, atol=1e-12)
-    # Points along the legs, closely: the distance of two of them is hardly larger than that of the legs.
-    parts = np.linspace(0.0, 1.0, 101)[:, None]
-    pivots, knees, balls = np.broadcast_arrays(states.leg_bases, states.circle_centres, states.balls)
-    least = np.full(len(states), np.inf)
-    for a, b in ((0, 1), (0, 2), (1, 2)):
-        one, two = (
-            np.concatenate(
-                [p[:, None, k] + parts * (q - p)[:, None, k] for p, q in ((pivots, knees), (knees, balls))], axis=1
-            )
-            for k in (a, b)
-        )
-        least = np.minimum(least, np.linalg.norm(one[:, :, None] - two[:, None], axis=-1).min(axis=(1, 2)))
-    clearance = leg_clearance(states)
+    clearance, least = leg_clearance(states), sampled_clearance(states, [(0, 1), (0, 2), (1, 2)])
     assert (clearance <= least + 1e-12).all()
     np.testing.assert_allclose(clearance, least, rtol=2e-3)
     np.testing.assert_allclose(limits.clearance_margin(states), clearance - 0.01)
 
 
-@pytest.mark.parametrize("machine", ["RPS as built", "PRS", "RRS"])
+@pytest.mark.parametrize("machine", ["RPS as built", "RRS"])
 def test_the_orientations_at_a_height_are_the_normals_within_the_reach(machine: str) -> None:
     """The solid angle of a star-shaped set of normals is ∫ (1 - cos tilt) dφ over its largest tilts."""
-    stage, height = stage_and_height(machine)
-    level = spm.inverse_physical(stage, height).readings
-    room = 0.3 if stage.unit == "rad" else 0.06 * stage.size
-    limits = spm.machine.StageLimits(level - room, level + room)
+    stage, height, limits = limited(machine)
     for where in (None, JointLimits(ball_y=(-0.2, 0.3))):
         found = orientation_workspace(stage, height, limits, where=where, samples=2000, rng=1)
         within = dataclasses.replace(stage, limits=limits)
@@ -98,18 +90,16 @@ def test_the_orientations_at_a_height_are_the_normals_within_the_reach(machine: 
 
 @pytest.mark.parametrize("machine", ["RPS", "PRS as built", "RRS as built"])
 def test_samples_of_a_stage_are_uniform_in_readings_or_in_heights_and_normals(machine: str) -> None:
-    stage, height = stage_and_height(machine)
-    level = spm.inverse_physical(stage, height).readings
-    room = 0.2 if stage.unit == "rad" else 0.04 * stage.size
-    limits, count = spm.machine.StageLimits(level - room, level + room), 2000
+    stage, _, limits = limited(machine)
+    count, low, high = 2000, np.array(limits.minimum), np.array(limits.maximum)
     drawn = sample_reachable(stage, count, limits, rng=0)
     assert drawn.shape == (count,)
     again = spm.inverse_physical(stage, drawn.height, normal=drawn.normal)
     np.testing.assert_allclose(again.readings, drawn.readings, atol=1e-9 * stage.size)
-    for column in ((drawn.readings - level) / (2.0 * room) + 0.5).T:
+    for column in ((drawn.readings - low) / (high - low)).T:
         assert stats.kstest(column, "uniform").pvalue > 1e-4
     # From a box of heights and normals, those are kept that the closed form allows.
-    rng, number = np.random.default_rng(1), 150_000
+    rng, number = np.random.default_rng(1), 60_000
     low, high, tilt = 0.98 * drawn.height.min(), 1.02 * drawn.height.max(), 1.3 * drawn.tilt.max()
     heights, cosines = rng.uniform(low, high, number), rng.uniform(np.cos(tilt), 1.0, number)
     azimuths = rng.uniform(-np.pi, np.pi, number)
@@ -154,14 +144,13 @@ def test_the_nearest_tilt_within_limits_of_joints_is_the_best_of_a_search_by_sci
 
 
 def test_what_a_stage_does_not_have_is_refused_with_the_name_of_what_answers() -> None:
-    for function, arguments, answer in (
-        (spm.workspace.reachable_boundary, (), "workspace.reach"),
-        (spm.workspace.reachable_position, ([0.0, 0.0, 0.1],), "workspace.reach"),
-        (spm.workspace.reachable_volume, (), "workspace.pose_volume"),
+    for name, arguments, answer in (
+        ("reachable_boundary", (), "workspace.reach"),
+        ("reachable_position", ([0.0, 0.0, 0.1],), "workspace.reach"),
+        ("reachable_volume", (), "workspace.pose_volume"),
     ):
-        with pytest.raises(spm.ArgumentError) as caught:
-            function(BALANCER, *arguments)
-        assert caught.value.argument == "machine"
+        with pytest.raises(spm.ArgumentError, check=with_fields(argument="machine", received="Stage")) as caught:
+            getattr(spm.workspace, name)(BALANCER, *arguments)
         assert answer in caught.value.cause
 
 
@@ -179,9 +168,8 @@ def test_the_reach_ends_where_a_condition_does() -> None:
     for beyond, counts in ((-1e-9, True), (1e-9, False)):
         states = spm.inverse_physical(BALANCER, 0.12, tilt=found.tilts[0] + beyond, azimuth=found.azimuths)
         np.testing.assert_array_equal(where(states)[shorter], counts)
-    with pytest.raises(spm.ArgumentError) as caught:
+    with pytest.raises(spm.ArgumentError, check=with_fields(argument="where")):
         spm.workspace.reach(BALANCER, 0.12, where=lambda states: states.tilt)
-    assert caught.value.argument == "where"
     payload = spm.sweeps.METRICS["payload_down"](push=0.25)
     level = spm.inverse_physical(BALANCER, 0.12).readings[None]
     least = 0.97 * float(payload.evaluate(spm.sweeps.Points(BALANCER, "legs", level))[0])
@@ -209,15 +197,7 @@ def test_tilts_are_reachable_within_limits_of_legs_and_of_joints() -> None:
         assert single.reachable is bool(expected[0])
     modes = spm.workspace.reachable(BALANCER, 0.12, branch="any").allowed
     np.testing.assert_array_equal(modes, [True, False])
-    with pytest.raises(spm.ArgumentError) as caught:
+    with pytest.raises(spm.ArgumentError, check=with_fields(argument="branch")):
         spm.workspace.reachable(BALANCER, 0.12, branch="TT+")
-    assert caught.value.argument == "branch"
-    with pytest.raises(spm.ArgumentError) as caught:
+    with pytest.raises(spm.ArgumentError, check=with_fields(argument="limits")):
         spm.workspace.reachable(BALANCER, 0.12, limits=spm.LegLimits(0.1, 0.2))
-    assert caught.value.argument == "limits"
-
-
-def test_limits_in_degrees_are_refused() -> None:
-    with pytest.raises(spm.ArgumentError, match="degrees") as refused:
-        JointLimits(ball_x=(-25.0, 25.0))
-    assert refused.value.argument == "ball_x"
