@@ -83,10 +83,10 @@ def test_the_nearest_tilt_of_a_stage_is_reached() -> None:
 
 
 def test_a_stage_moves_between_tilts_by_their_options() -> None:
-    ends = ["--from-height", "120", "--to-height", "120", "--to-tilt", "10", "--limits", "-35", "70"]
+    ends = ["--from-height", "120", "--to-height", "120", "--to-tilt", "5", "--limits", "5", "45"]
     done = run("stage", "move", *SIZES, *ends, "--leg-acceleration", "100", "--json")
     assert done.returncode == 0, done.stderr
     content = json.loads(done.stdout)
-    expected = spm.inverse_physical(STAGE, 0.12, tilt=np.radians([0.0, 10.0]), azimuth=0.0).readings
+    expected = spm.inverse_physical(STAGE, 0.12, tilt=np.radians([0.0, 5.0]), azimuth=0.0).readings
     found = np.array([content[name] for name in STAGE.legs.names])[:, [0, -1]].T
     np.testing.assert_allclose(found, expected, atol=1e-9)

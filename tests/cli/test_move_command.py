@@ -14,7 +14,7 @@ import spm_pin as spm
 from spm_pin.description import actuated_joints
 
 SLIDES = actuated_joints()
-LIMITS = ["--limits", "110", "150", "--unit", "cm"]
+LIMITS = ["--limits", "125", "135", "--unit", "cm"]
 
 
 def test_errors_of_the_machine_are_in_the_unit_and_in_radians() -> None:
@@ -27,7 +27,7 @@ def test_errors_of_the_machine_are_in_the_unit_and_in_radians() -> None:
     shown = run("certify", *LIMITS, *errors).stdout
     assert "Proved: no configuration joined to the home" in shown
     assert "within 0.1 mm and 0.1 mrad" in shown
-    assert run("certify", "--limits", "0.5", "1.9", "--boxes", "2000").returncode == 1
+    assert run("certify", "--limits", "0.5", "1.9", "--boxes", "100").returncode == 1
 
 
 def test_the_file_of_a_machine_as_built(tmp_path: Path) -> None:

@@ -108,7 +108,7 @@ def test_legs_of_any_kind_are_computed_as_by_the_package(
     compiled = library if has_cylinders else CLibrary.build(nominal, tmp_path, "-O2")
     for size in (0.0, 1e-5, 5e-3):
         machine = nominal.perturbed(5, length=size, angle=size) if size else nominal
-        own, state = compiled.of(machine), states(machine, 500)
+        own, state = compiled.of(machine), states(machine, 250)
         known, largest = as_states(state), machine.legs.largest_slopes
         rates = spm.inverse_jacobian(state)
         size = np.abs(largest[:, None] * rates).max(axis=(-1, -2))

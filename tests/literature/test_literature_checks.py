@@ -21,8 +21,6 @@ from spm_pin.kinematics.intervals import Interval
 
 pytestmark = pytest.mark.documents
 
-STRUCTURE = 2
-
 
 def test_the_tetrahedron_of_the_revolute_axes_has_the_determinant_of_k() -> None:
     for row in literature.tetrahedron():
