@@ -162,14 +162,15 @@ def sample(number: int, seed: int) -> list[dict[str, Any]]:
 
 
 def closest_tests(fault: dict[str, Any], results: list[dict[str, Any]], number: int) -> list[str]:
-    """Return first the test files that have caught faults in the same file, then those whose name has words of its."""
+    """Return first test files that have caught faults in the same file, then those with words of its name."""
     file = Path(fault["file"])
     caught = collections.Counter(f["caught"].partition("::")[0] for f in results if f["file"] == fault["file"])
-    paths = [path for folder in TESTS[file.parts[1]].split() for path in (ROOT / "tests" / folder).rglob("test_*.py")]
+    folders = TESTS[file.parts[1]].split()
+    paths = [path for folder in folders for path in (ROOT / "tests" / folder).rglob("test_*.py")]
 
-    def order(path: Path) -> tuple[int, int, int]:
-        common = set(file.stem.split("_")) & set(path.stem.split("_"))
-        return -caught[str(path.relative_to(ROOT))], -len(common), path.stat().st_size
+    def order(path: Path) -> tuple[int, int, int, int]:
+        common, name = set(file.stem.split("_")) & set(path.stem.split("_")), path.relative_to(ROOT)
+        return -caught[str(name)], -len(common), folders.index(name.parts[1]), path.stat().st_size
 
     return [str(path.relative_to(ROOT)) for path in sorted(paths, key=order)[:number]]
 
