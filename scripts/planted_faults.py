@@ -169,8 +169,13 @@ def closest_tests(fault: dict[str, Any], results: list[dict[str, Any]], number: 
     paths = [path for folder in folders for path in (ROOT / "tests" / folder).rglob("test_*.py")]
 
     def order(path: Path) -> tuple[int, int, int, int]:
-        common, name = set(file.stem.split("_")) & set(path.stem.split("_")), path.relative_to(ROOT)
-        return -caught[str(name)], -len(common), folders.index(name.parts[1]), path.stat().st_size
+        words, name = {word for word in file.stem.split("_") if len(word) > 2}, path.relative_to(ROOT)
+        return (
+            -caught[str(name)],
+            -len(words & set(path.stem.split("_"))),
+            folders.index(name.parts[1]),
+            path.stat().st_size,
+        )
 
     return [str(path.relative_to(ROOT)) for path in sorted(paths, key=order)[:number]]
 
