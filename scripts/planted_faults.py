@@ -261,7 +261,7 @@ def main() -> None:
     parser.add_argument("--number", type=int, default=240, help="faults, an equal share in each group")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--files", type=int, default=12, help="test files to run for a fault")
+    parser.add_argument("--files", type=int, default=24, help="test files to run for a fault")
     parser.add_argument("--seconds", type=float, default=300, help="the longest time for one fault")
     parser.add_argument("--folder", type=Path, default=ROOT / "build/faults", help="where copies and results are kept")
     parser.add_argument("--again", action="store_true", help="plant those again that survived")
