@@ -162,14 +162,20 @@ def sample(number: int, seed: int) -> list[dict[str, Any]]:
 
 
 def closest_tests(fault: dict[str, Any], results: list[dict[str, Any]], number: int) -> list[str]:
-    """Return first the test files that have caught faults in the same file, then those whose name has words of its."""
+    """Return first test files that have caught faults in the same file, then those with words of its name."""
     file = Path(fault["file"])
     caught = collections.Counter(f["caught"].partition("::")[0] for f in results if f["file"] == fault["file"])
-    paths = [path for folder in TESTS[file.parts[1]].split() for path in (ROOT / "tests" / folder).rglob("test_*.py")]
+    folders = TESTS[file.parts[1]].split()
+    paths = [path for folder in folders for path in (ROOT / "tests" / folder).rglob("test_*.py")]
 
-    def order(path: Path) -> tuple[int, int, int]:
-        common = set(file.stem.split("_")) & set(path.stem.split("_"))
-        return -caught[str(path.relative_to(ROOT))], -len(common), path.stat().st_size
+    def order(path: Path) -> tuple[int, int, int, int]:
+        words, name = {word for word in file.stem.split("_") if len(word) > 2}, path.relative_to(ROOT)
+        return (
+            -caught[str(name)],
+            -len(words & set(path.stem.split("_"))),
+            folders.index(name.parts[1]),
+            path.stat().st_size,
+        )
 
     return [str(path.relative_to(ROOT)) for path in sorted(paths, key=order)[:number]]
 
@@ -255,7 +261,7 @@ def main() -> None:
     parser.add_argument("--number", type=int, default=240, help="faults, an equal share in each group")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--files", type=int, default=12, help="test files to run for a fault")
+    parser.add_argument("--files", type=int, default=24, help="test files to run for a fault")
     parser.add_argument("--seconds", type=float, default=300, help="the longest time for one fault")
     parser.add_argument("--folder", type=Path, default=ROOT / "build/faults", help="where copies and results are kept")
     parser.add_argument("--again", action="store_true", help="plant those again that survived")

@@ -230,15 +230,6 @@ def test_what_is_physical_on_every_kind_of_number(name: str) -> None:
         np.testing.assert_allclose(numbers @ np.stack([*sides, np.cross(*sides)]), arm, rtol=0, atol=1e-16)
 
 
-def test_stages_in_mode_t_above_their_plates_are_upright() -> None:
-    solutions = spm.forward_displacement(PAPER, [1.2, 1.2, 1.4, 1.25, 1.2, 1.5])
-    for label in np.array(solutions.labels)[solutions.exists]:
-        state = solutions[str(label)]
-        halves = rows(state.middle_joints), rows(state.leg_vectors[:3]), rows(state.leg_vectors[3:])
-        is_upright = branches.is_upright(*halves, rows(state.rotation), tuple(state.translation.tolist()))
-        assert is_upright == all(stage[0] == "T" and stage[-1] == "+" for stage in label.split("/"))
-
-
 def test_the_slope_of_the_determinant_of_pairs() -> None:
     pairs, slopes = (tuple(x) for x in np.random.default_rng(0).normal(size=(2, 6)).tolist())
 
