@@ -303,6 +303,7 @@ def test_a_file_of_measurements_is_read_in_any_order_of_columns(tmp_path: Path) 
         (f"{HEADING}\n{ROW}\n\n{ROW.replace('1.3', 'nan', 1)}", r"column r_b2 in .*csv:4: expected a finite number"),
         (f"{HEADING}\n{ROW.replace('2.2', '', 1)}", r"column z in .*csv:2.*got nothing"),
         (f"{HEADING}\n{ROW.replace('2.2', 'high', 1)}", r"column z in .*got 'high'"),
+        (f"{HEADING}\n{ROW.replace('2.2', '2_2', 1)}", r"column z in .*got '2_2'"),
         (f"{HEADING}\n{ROW.replace('2.2', chr(34) + '2,2' + chr(34), 1)}", r"column z.*decimal comma"),
         (f"{HEADING}\n{ROW.replace('0,0,0,1', '0,0,0,2', 1)}", r"qx to qw in .*csv:2.*length 1, got length 2"),
         (f"{HEADING.replace('r_c3', 'r_c4')}\n{ROW}", r"csv:1: expected .*, got a heading without r_c3"),

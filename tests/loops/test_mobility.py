@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
+from error_fields import with_fields
 from loops.mechanisms import MAKERS, mechanism, states
 
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
@@ -78,15 +79,13 @@ def test_a_singularity_of_the_loops_is_told_from_dependent_equations() -> None:
     flat, regular = chain.mobility(np.zeros(4)), chain.mobility(states("parallelogram")[0][0])
     assert (flat.dof, flat.regular_dof, flat.is_singular) == (2, 1, True)
     assert (regular.dof, regular.regular_dof, regular.is_singular) == (1, 1, False)
-    with pytest.raises(SingularConfigurationError) as raised:
+    with pytest.raises(SingularConfigurationError, check=with_fields(kind="constraint")):
         chain.state(np.zeros(4)).forward_dynamics(np.zeros(3))
-    assert raised.value.kind == "constraint"
 
 
 def test_open_loops_and_batches_are_refused() -> None:
     chain = mechanism("ankle")
     with pytest.raises(ClosureError):
         chain.mobility(np.full(8, 0.3))
-    with pytest.raises(ArgumentError) as raised:
+    with pytest.raises(ArgumentError, check=with_fields(argument="q")):
         chain.mobility(np.zeros((2, 8)))
-    assert raised.value.argument == "q"

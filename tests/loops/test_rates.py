@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from error_fields import with_fields
 from loops.mechanisms import MAKERS, Array, mechanism, states
 
 from spm_pin.errors import ArgumentError, SingularConfigurationError
@@ -103,9 +104,8 @@ def test_rates_at_a_forward_singularity_are_refused() -> None:
     direction = np.arctan2(-0.3 * np.sin(crank), 1.0 - 0.3 * np.cos(crank))
     q = np.array([crank, direction - crank, direction])
     assert np.abs(chain.state(q).gap()).max() <= 1e-15
-    with pytest.raises(SingularConfigurationError) as raised:
+    with pytest.raises(SingularConfigurationError, check=with_fields(kind="forward")) as raised:
         chain.state(q).joint_rates([1.0])
-    assert raised.value.kind == "forward"
     assert "coupler" in raised.value.cause
     with pytest.raises(SingularConfigurationError):
         chain.state(q).joint_jacobian()
@@ -114,6 +114,5 @@ def test_rates_at_a_forward_singularity_are_refused() -> None:
 def test_velocities_that_open_loops_are_refused() -> None:
     chain = mechanism("Sarrus")
     (q, v), *_ = states("Sarrus")
-    with pytest.raises(ArgumentError) as raised:
+    with pytest.raises(ArgumentError, check=with_fields(argument="v")):
         chain.state(q, v + 1e-6).joint_accelerations([0.0])
-    assert raised.value.argument == "v"

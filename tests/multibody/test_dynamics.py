@@ -3,34 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-import problems
 import pytest
 from error_fields import with_fields
 from multibody.chains import chain, six_branches
 
 import spm_pin as spm
-from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
+from spm_pin.errors import ArgumentError, ClosureError
 
 pinocchio = pytest.importorskip("pinocchio")
-
-
-def test_singularities() -> None:
-    robot, home = chain(), np.zeros(18)
-    rest, forces = np.zeros(18), np.zeros(6)
-    # At home the twist says nothing of the legs, but forces still accelerate and hold.
-    with pytest.raises(SingularConfigurationError, check=with_fields(kind="inverse")):
-        robot.state(home, rest).platform_dynamics()
-    with pytest.raises(SingularConfigurationError, check=with_fields(kind="inverse")):
-        robot.state(home, rest).joint_accelerations(np.zeros(6))
-    held = robot.state(home, rest).inverse_dynamics(rest)
-    assert np.abs(robot.state(home, rest).forward_dynamics(held)).max() <= 1e-9
-    assert np.abs(robot.state(home, rest).forward_dynamics(forces)).max() > 1.0
-    forward = problems.singular_state(0, *problems.PAPER_TILTS[0])
-    q = robot.joint_values(forward)
-    with pytest.raises(SingularConfigurationError, check=with_fields(kind="forward")) as caught:
-        robot.state(q, rest).inverse_dynamics(rest)
-    assert caught.value.sigma_min < 1e-12
-    assert np.isfinite(robot.state(q, rest).forward_dynamics(forces)).all()
 
 
 def test_bad_arguments() -> None:

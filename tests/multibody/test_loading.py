@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from error_fields import with_fields
 from multibody.chains import MACHINES, NAMES, chain, placed, six_branches
 
 import spm_pin as spm
@@ -129,7 +130,6 @@ def test_shapes_and_the_wrapper() -> None:
 
 def test_a_machine_in_place_of_a_file_is_sent_to_its_argument() -> None:
     for machine in (spm.Manipulator.paper(), spm.Stage(0.7, 0.46)):
-        with pytest.raises(spm.ArgumentError) as error:
+        with pytest.raises(spm.ArgumentError, check=with_fields(argument="path")) as error:
             ClosedChain.from_urdf(machine)  # type: ignore[arg-type]
-        assert error.value.argument == "path"
         assert "machine=" in error.value.cause

@@ -22,20 +22,25 @@ HOME = np.zeros(18)
 
 def test_home_is_an_inverse_singularity() -> None:
     """NumPy's solve sees nothing wrong there, and returns some 1e16."""
-    robot = chain()
-    for call in (lambda q: robot.state(q).inverse_jacobian(), lambda q: robot.state(q).joint_velocities(np.ones(6))):
-        with pytest.raises(SingularConfigurationError, check=with_fields(kind="inverse")) as caught:
-            call(HOME)
+    home = chain().state(HOME)
+    for call, *twists in (
+        (home.inverse_jacobian,),
+        (home.platform_dynamics,),
+        (home.joint_velocities, np.ones(6)),
+        (home.joint_accelerations, np.zeros(6)),
+    ):
+        with pytest.raises(SingularConfigurationError, check=with_fields(kind="inverse", index=())) as caught:
+            call(*twists)
         assert caught.value.sigma_min <= 10 * SINGULAR
-        assert caught.value.index == ()
-    values = robot.state(HOME).singular_values()
+    values = home.singular_values()
     assert values.inverse <= 10 * SINGULAR
     assert min(values.forward, values.constraint) > 0.1
-    # Forces exist.
-    state = robot.state(HOME).configuration()
+    # Forces accelerate and hold.
     for wrench in np.random.default_rng(121).normal(size=(10, 6)):
-        expected = spm.leg_forces(state, wrench)
-        assert np.linalg.norm(robot.state(HOME).leg_forces(wrench) - expected) <= 1e-13 * np.linalg.norm(expected)
+        expected = spm.leg_forces(home.configuration(), wrench)
+        assert np.linalg.norm(home.leg_forces(wrench) - expected) <= 1e-13 * np.linalg.norm(expected)
+    assert np.abs(home.forward_dynamics(home.inverse_dynamics(HOME))).max() <= 1e-9
+    assert np.abs(home.forward_dynamics(np.zeros(6))).max() > 1.0
 
 
 def test_between_two_branches_that_meet() -> None:
@@ -60,9 +65,11 @@ def test_forward_singularities(mode: str) -> None:
     state = problems.without_torsion(PAPER, (0.0, 0.0, 0.0), (0.4, 0.3, -1.1), f"{mode}T")
     robot = chain()
     q = robot.joint_values(state)
-    for call in (robot.state(q).leg_forces, robot.state(q).cut_forces):
+    flat = robot.state(q)
+    for call, argument in ((flat.leg_forces, np.ones(6)), (flat.cut_forces, np.ones(6)), (flat.inverse_dynamics, HOME)):
         with pytest.raises(SingularConfigurationError, check=with_fields(kind="forward")):
-            call(np.ones(6))
+            call(argument)
+    assert np.isfinite(flat.forward_dynamics(np.zeros(6))).all()
     assert robot.state(q).singular_values().forward <= 10 * SINGULAR
     assert robot.state(q).singular_values().constraint > 1e-3
     with pytest.raises(SingularConfigurationError, check=with_fields(kind="forward")):

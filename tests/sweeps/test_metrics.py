@@ -15,7 +15,6 @@ from spm_pin.sweeps.metrics import resolve_metrics
 from spm_pin.sweeps.points import Space
 
 MACHINE = spm.Manipulator.paper()
-BUILT = MACHINE.perturbed(3, length=2e-3, angle=2e-3)
 
 
 def legs(count: int, seed: int = 0, low: float = 1.1, high: float = 1.5) -> np.ndarray:

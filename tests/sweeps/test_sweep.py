@@ -143,7 +143,6 @@ def test_nothing_is_computed_twice(store: Path, undisturbed: Path, computed: lis
 
 
 PLACE = "c.3.0.0.0"
-VARIABLES = (*METRICS, "status")
 
 
 def flip_bit(path: Path) -> None:
