@@ -53,9 +53,8 @@ def by_small_steps(chain: ClosedChain, values: Any, steps: int = 200) -> tuple[A
     return q, 1.0
 
 
-@pytest.mark.parametrize("count", [3, pytest.param(15, marks=pytest.mark.slow)])
-def test_far_targets_are_reached_in_the_mode_or_not_at_all(chain: ClosedChain, count: int) -> None:
-    targets, reached = far_targets(chain, count, 1.0), 0
+def test_far_targets_are_reached_in_the_mode_or_not_at_all(chain: ClosedChain) -> None:
+    targets, reached = far_targets(chain, 3, 1.0), 0
     for values in targets:
         judged, share = by_small_steps(chain, values)
         if share < 1.0:
