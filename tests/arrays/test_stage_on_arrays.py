@@ -210,7 +210,7 @@ def test_cranks_turned_by_more_than_a_turn_are_taken_for_degrees(turns: int) -> 
 
 
 @pytest.mark.usefixtures("double_precision")
-@pytest.mark.parametrize("machine", ["PRS as built", "RRS"])
+@pytest.mark.parametrize("machine", ["RRS as built"])
 def test_derivatives_by_readings_are_the_motion_of_the_platform(machine: str) -> None:
     stage, height = stage_and_height(machine)
     normals, heights = requests(height, 8, seed=3)

@@ -99,7 +99,7 @@ def test_some_lengths_have_all_256_modes() -> None:
 @pytest.mark.parametrize("name", MANIPULATORS)
 @pytest.mark.parametrize("modes", spm.machine.FAMILIES)
 def test_a_known_configuration_is_found_from_its_lengths(name: str, modes: str) -> None:
-    problem = random_branches(MANIPULATORS[name], modes, 200, seed=2)
+    problem = random_branches(MANIPULATORS[name], modes, 100, seed=2)
     assert_found(problem)
     solutions = forward_displacement(problem.machine, problem.configuration.leg_lengths[:50])
     state = solutions.nearest(problem.configuration[:50])

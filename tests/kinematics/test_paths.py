@@ -50,7 +50,7 @@ def test_along_poses_a_solution_keeps_its_label(points: int, seed: int) -> None:
     assert moves.max() <= 0.1 * PAPER.middle_side
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_sign_changes_are_those_of_a_dense_sample(seed: int) -> None:
     problem = in_leg_space(PAPER, 2, seed=100 + seed)
     first, last = problem.pose[0], problem.pose[1]

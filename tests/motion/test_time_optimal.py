@@ -19,9 +19,7 @@ LOAD = Payload(15.0, (0.02, -0.01, 0.1), np.diag([0.3, 0.2, 0.25]))
 
 
 CASES = {
-    "line, forces": (LINE, {"leg_forces": 1500.0}),
     "line, all": (LINE, {"leg_forces": 1500.0, "leg_rates": 0.4, "leg_accelerations": 5.0, "twist": (0.8, 0.9)}),
-    "curve, forces and rates": (CURVE, {"leg_forces": 1500.0, "leg_rates": 0.6}),
     "curve, payload": (CURVE, {"leg_forces": 1800.0, "leg_rates": 0.6, "payload": LOAD}),
     "curve, accelerations": (CURVE, {"leg_accelerations": 3.0}),
     "poses": (None, {"leg_forces": 1500.0, "twist": (0.5, 0.5)}),
@@ -200,14 +198,14 @@ def test_a_tiny_line_is_a_motion_too(length: float) -> None:
     assert spm.time_optimal(CHAIN, line, leg_forces=1500.0, leg_jerks=40.0, grid=100).times[-1] < 0.1
 
 
-@pytest.mark.parametrize(("count", "seed"), [(4, 4), pytest.param(16, 120, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("count", "seed"), [(2, 4), pytest.param(16, 120, marks=pytest.mark.slow)])
 def test_every_plan_has_a_fastest_motion_within_its_limits_and_its_error(count: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     kinds = [
-        {"leg_accelerations": 0.5},
+        {"leg_forces": 1500.0, "twist": (1.0, 1.5), "leg_accelerations": 4.0},
         {"leg_accelerations": 5.0, "leg_rates": 0.6},
         {"leg_forces": 1500.0, "leg_rates": 0.5},
-        {"leg_forces": 1500.0, "twist": (1.0, 1.5), "leg_accelerations": 4.0},
+        {"leg_accelerations": 0.5},
     ]
     for k in range(count):
         points = rng.uniform(1.1, 1.5, (rng.integers(2, 6), 6))

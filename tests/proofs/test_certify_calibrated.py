@@ -114,4 +114,6 @@ def test_a_machine_with_larger_errors_has_a_singular_configuration() -> None:
     assert ((readings > 1.1) & (readings < 1.5)).all()
     ahead, behind = (state(pose + h * np.eye(6)[5])[2] for h in (1e-6, -1e-6))
     assert ahead * behind < 0.0, "D changes its sign there"
-    assert not spm.certify(PAPER, LIMITS, length_error=error, angle_error=error, boxes=20_000).holds
+    # With so many boxes these limits are proved without errors.
+    assert spm.certify(PAPER, LIMITS, boxes=40_000).holds
+    assert not spm.certify(PAPER, LIMITS, length_error=error, angle_error=error, boxes=40_000).holds

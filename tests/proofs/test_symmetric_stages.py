@@ -44,7 +44,7 @@ def test_verdicts_are_those_of_each_machine_by_itself() -> None:
     expected = [True, False, False, True, False]
     assert free_of_singularities(machines, 30_000).tolist() == expected
     assert [bool(free_of_singularities([one], 30_000)) for one in machines] == expected
-    assert [spm.certify(one, boxes=60_000).holds for one in machines[:4]] == expected[:4]
+    assert [spm.certify(one, boxes=30_000).holds for one in machines[:4]] == expected[:4]
 
 
 def test_limits_that_differ_within_a_stage_and_machines_as_built_are_certified_too() -> None:

@@ -108,7 +108,7 @@ def test_positions_of_random_readings_are_reachable_and_the_readings_found_lead_
     machine: spm.Manipulator,
 ) -> None:
     assert machine.limits is not None
-    states = random_states(machine, 40, 3)
+    states = random_states(machine, 60, 3)
     away = states.translation + np.random.default_rng(4).normal(0.0, 0.3, (len(states), 3))
     for points, all_reached in ((states.translation, True), (away, False)):
         reach = reachable_position(machine, points)
