@@ -49,17 +49,6 @@ class StageConfiguration(Batched):
         matrix = as_rigid_transform(pose).as_matrix()
         self._set(check_instance(stage, Stage, "stage"), matrix[..., :3, :3].copy(), matrix[..., :3, 3].copy())
 
-    @classmethod
-    def from_arrays(
-        cls, stage: Stage, rotation: FloatArray, translation: FloatArray, readings: FloatArray | None = None
-    ) -> StageConfiguration:
-        """Make a configuration from valid arrays with equal leading axes, without checks or copies."""
-        self = cls.__new__(cls)
-        self._set(stage, rotation, translation)
-        if readings is not None:
-            self.__dict__["readings"] = frozen(readings)
-        return self
-
     def where(self, kept: BoolArray) -> StageConfiguration:
         """Return the states where `kept` (...) is true; the others are NaN throughout."""
         return self.transformed(lambda array, inner: masked(array, kept, inner))
@@ -74,11 +63,6 @@ class StageConfiguration(Batched):
     def stage(self) -> Stage:
         """The stage."""
         return self._machine
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Batch shape."""
-        return self._translation.shape[:-1]
 
     @property
     def exists(self) -> BoolArray:
@@ -147,43 +131,10 @@ class StageConfiguration(Batched):
         """Pose of the platform, as of a robot's middle platform."""
         return self.pose
 
-    @property
-    def compared_points(self) -> FloatArray:
-        """Points by whose displacement states are compared: the balls."""
-        return self.balls
-
-    @property
-    def leg_bases(self) -> FloatArray:
-        """Pivots of the legs as rows in {B} [m], shape (3, 3): the same in all states."""
-        return self.stage.legs.pivots
-
-    @property
-    def leg_axes(self) -> FloatArray:
-        """Unit revolute axes of the legs as rows in {B}, shape (3, 3)."""
-        return self.stage.legs.axes
-
-    @property
-    def leg_planes(self) -> tuple[FloatArray, FloatArray]:
-        """Unit vectors x, radially outwards, and z, upwards, of the legs' planes, as rows in {B}, (3, 3) each."""
-        return self.stage.legs.planes
-
     @cached_property
     def readings(self) -> FloatArray:
         """Readings of the legs' encoders, shape (..., 3): [m] ([rad] for RRS legs); NaN for a ball out of reach."""
         return frozen(self.stage.legs.readings(self.places, self.stage.crank_middles))
-
-    @cached_property
-    def circle_centres(self) -> FloatArray:
-        """Centres of the circles on which balls move with locked actuators, as rows in {B} [m], (..., 3, 3).
-
-        For RPS legs the pivots, for PRS legs the joints of carriage and rod, for RRS legs the knees.
-        """
-        return frozen(np.asarray(self.stage.legs.circles(self.readings)[0]))
-
-    @property
-    def leg_vectors(self) -> FloatArray:
-        """Vectors from circle centres to balls, along which the legs push, as rows in {B} [m], (..., 3, 3)."""
-        return self.balls - self.circle_centres
 
     @property
     def closure_residual(self) -> FloatArray:

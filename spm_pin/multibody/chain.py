@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -28,8 +28,8 @@ from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import physical_at_poses
 from spm_pin.loops.batched_state import at_index
 from spm_pin.loops.closed_chain import ClosedChain as LoopChain
-from spm_pin.machine.configuration import Configuration
-from spm_pin.machine.joint_angles import check_state, joint_angles, value_names
+from spm_pin.machine.configuration import Configuration, check_state
+from spm_pin.machine.joint_angles import joint_angles, value_names
 from spm_pin.machine.legs import check_path_readings
 from spm_pin.machine.machine import Machine, check_machine
 from spm_pin.machine.manipulator import Manipulator, check_rps, check_same_machine
@@ -209,11 +209,7 @@ class ClosedChain:
         if state.machine is not self.machine:
             check_same_machine(state.machine, self.machine, "configuration", "the chain")
             # With the chain's own limits: they set the zero of its slides.
-            if isinstance(self.machine, Stage):
-                state = StageConfiguration.from_arrays(self.machine, state.rotation, state.translation)
-            else:
-                own, balls = self.machine, cast(Configuration, state).middle_joints
-                state = Configuration.from_arrays(own, state.rotation, state.translation, balls)
+            state = state.with_machine(self.machine)
         return self._values_of(state)
 
     def _values_of(self, configuration: Configuration | StageConfiguration) -> FloatArray:
