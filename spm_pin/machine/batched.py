@@ -93,6 +93,11 @@ class Batched(ABC):
 
     @property
     @abstractmethod
+    def tilt_cosine_sum(self) -> FloatArray:
+        """Sum of the cosines of the stages' tilts, shape (...)."""
+
+    @property
+    @abstractmethod
     def balls(self) -> FloatArray:
         """Centres of the legs' balls as rows in {B} [m], shape (..., legs, 3)."""
 
@@ -100,6 +105,11 @@ class Batched(ABC):
     @abstractmethod
     def middle_pose(self) -> RigidTransform:
         """Pose in {B} of the platform that holds the lower legs' balls."""
+
+    @property
+    @abstractmethod
+    def closure_residual(self) -> FloatArray:
+        """Largest violation of the closure equations [m], shape (...)."""
 
     @property
     @abstractmethod

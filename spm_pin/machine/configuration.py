@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from spm_pin.errors import ArgumentError
 from spm_pin.machine.batched import Batched, masked
-from spm_pin.machine.branch_of_state import physical
+from spm_pin.machine.branch_of_state import physical, tilt_cosine_sum
 from spm_pin.machine.legs import LEGS, triangle_frames, triangle_sides
 from spm_pin.machine.machine import ALONE
 from spm_pin.machine.manipulator import Manipulator, check_manipulator
@@ -130,6 +130,11 @@ class Configuration(Batched):
         Without torsion in either stage, and reached from the symmetric home without a forward singularity.
         """
         return physical(self)
+
+    @property
+    def tilt_cosine_sum(self) -> FloatArray:
+        """Sum of the cosines of the two stages' tilts, shape (...): 2 for a straight machine."""
+        return tilt_cosine_sum(self)
 
     @cached_property
     def balls(self) -> FloatArray:

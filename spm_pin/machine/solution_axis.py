@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import enum
-from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar, Generic, Self, TypeVar, overload
 
 import numpy as np
@@ -45,12 +44,13 @@ class Status(enum.IntEnum):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Solutions(ABC, Generic[S]):
+class Solutions(Generic[S]):
     """States along one axis, their labels, and the status of each problem; see `SolutionSet`."""
 
     configurations: S
     labels: tuple[str, ...]
     status: Status | npt.NDArray[np.int8]
+    at_home: BoolArray | None = field(default=None, kw_only=True)
     _chosen: bool = field(default=False, kw_only=True)
     """True if a mask has excluded solutions."""
 
@@ -72,6 +72,11 @@ class Solutions(ABC, Generic[S]):
         return self.configurations.shape[:-1]
 
     @property
+    def machine(self) -> Any:
+        """The `Manipulator` or the `Stage`."""
+        return self.configurations.machine
+
+    @property
     def exists(self) -> BoolArray:
         """True for the solutions that are real, shape (..., n)."""
         return self.configurations.exists
@@ -88,8 +93,13 @@ class Solutions(ABC, Generic[S]):
 
     @property
     def readings(self) -> FloatArray:
-        """Readings of the legs' encoders [m], shape (..., n, 6)."""
+        """Readings of the legs' encoders [m] ([rad] for RRS legs), shape (..., n, legs)."""
         return self.configurations.readings
+
+    @property
+    def residual(self) -> FloatArray:
+        """Closure residual of each solution [m], shape (..., n)."""
+        return self.configurations.closure_residual
 
     @property
     def count(self) -> IntArray:
@@ -115,7 +125,9 @@ class Solutions(ABC, Generic[S]):
         except SelectionError as error:
             expected = f"a label, or an index of the problems {self.shape}"
             raise SelectionError("index", expected, type_and_value(index), error.cause) from error
-        return replace(self, configurations=chosen, status=np.asarray(self.status)[index], **self._details(batch))
+        details = {x.name: getattr(self, x.name) for x in fields(self) if x.default is None}
+        details = {name: None if x is None else x[inner] for name, x in details.items()}
+        return replace(self, configurations=chosen, status=np.asarray(self.status)[index], **details)
 
     def __iter__(self) -> Iterator[S]:
         if self.shape:
@@ -194,13 +206,21 @@ class Solutions(ABC, Generic[S]):
         return self.pick(distance.argmin(axis=-1), np.asarray(candidates.any(axis=-1)))
 
     @property
-    @abstractmethod
     def is_physical(self) -> BoolArray:
         """True for solutions reached from the symmetric home without a forward singularity, shape (..., n).
 
         If several are, and some are within the machine's limits, the others are dropped; use ``.within().physical()``
         to exclude all that are beyond them.
         """
+        mode = self.configurations.is_at_home if self.at_home is None else self.at_home & self.exists
+        limits = self.configurations.limits
+        if limits is None:
+            return mode
+        # Usually the first two branches suffice; readings of the others are then not computed.
+        some = slice(int(np.flatnonzero(mode.reshape(-1, len(self.labels)).any(axis=0))[-1:].sum()) + 1)
+        inside = mode.copy()
+        inside[..., some] &= limits.contains(self.configurations[..., some].readings)
+        return np.where(inside.any(axis=-1, keepdims=True), inside, mode)
 
     @property
     def ambiguous(self) -> Any:
@@ -217,12 +237,15 @@ class Solutions(ABC, Generic[S]):
         candidates = self.is_physical
         if near is not None:
             return self._nearest(near, candidates)
-        score = self._preference(candidates)
-        return self.pick(score.argmax(axis=-1), np.asarray(candidates.any(axis=-1)))
+        return self.pick(self.least_tilted(candidates), np.asarray(candidates.any(axis=-1)))
 
-    @abstractmethod
-    def _preference(self, candidates: BoolArray) -> FloatArray:
-        """Return a score for each solution (..., n), the largest for the chosen one; -inf for no candidate."""
+    def least_tilted(self, candidates: BoolArray) -> IntArray:
+        """Return the index (...) of the candidate (..., n) whose stages are least tilted, 0 if there is none."""
+        score = np.where(candidates, 0.0, -np.inf)
+        several = candidates & (np.count_nonzero(candidates, axis=-1, keepdims=True) > 1)
+        if several.any():
+            score[several] = self.configurations[several].tilt_cosine_sum
+        return np.asarray(score.argmax(axis=-1))
 
     def one(self) -> S:
         """Return the only solution of every problem.
@@ -259,10 +282,6 @@ class Solutions(ABC, Generic[S]):
     def _hint(self, index: tuple[int, ...]) -> str:
         """Return sentences, each after a full stop, on why a problem has no solution and where one is; may be empty."""
         return following([self.configurations.missing_reason])
-
-    def _details(self, batch: tuple[Any, ...]) -> dict[str, Any]:
-        """Return the fields of the problems at an index of the batch axes, besides states and status."""
-        return {}
 
 
 def following(sentences: Iterable[str]) -> str:

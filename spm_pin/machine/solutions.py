@@ -10,7 +10,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import RigidTransform
 
 from spm_pin.errors import ArgumentError
-from spm_pin.machine.branch_of_state import BRANCHES, FAMILIES, branch_sign, family, physical, tilt_cosine_sum
+from spm_pin.machine.branch_of_state import BRANCHES, FAMILIES, branch_sign, family
 from spm_pin.machine.configuration import Configuration
 from spm_pin.machine.legs import LEGS
 from spm_pin.machine.machine import unit_hint
@@ -42,9 +42,9 @@ class Degeneracy:
     legs: BoolArray
     """Legs whose lower and upper planes coincide, so that b_i is not restricted to a line, shape (..., 3)."""
 
-    def __getitem__(self, batch: tuple[Any, ...]) -> Degeneracy:
-        inner = (*batch, slice(None))
-        return Degeneracy(self.dimension[batch], self.families[inner], self.legs[inner])
+    def __getitem__(self, index: tuple[Any, ...]) -> Degeneracy:
+        """Index the batch axes; the last part of `index` is that of the last axis."""
+        return Degeneracy(self.dimension[index[:-1]], self.families[index], self.legs[index])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -87,7 +87,6 @@ class SolutionSet(Solutions[Configuration]):
 
     discriminants: FloatArray | None = None
     certain: BoolArray | None = None
-    at_home: BoolArray | None = None
     degeneracy: Degeneracy | None = None
     merged: BoolArray | None = None
     radius: FloatArray | None = None
@@ -131,11 +130,6 @@ class SolutionSet(Solutions[Configuration]):
         return cls(branches, BRANCHES, status)
 
     @property
-    def machine(self) -> Manipulator:
-        """The manipulator."""
-        return self.configurations.machine
-
-    @property
     def middle_joints(self) -> FloatArray:
         """Ball joint centres b_1, b_2, b_3 as rows in {B} [m], shape (..., n, 3, 3); NaN where not real."""
         return self.configurations.middle_joints
@@ -144,11 +138,6 @@ class SolutionSet(Solutions[Configuration]):
     def leg_lengths(self) -> FloatArray:
         """r_b1 to r_c3 [m], shape (..., n, 6); NaN where not real."""
         return self.configurations.leg_lengths
-
-    @property
-    def residual(self) -> FloatArray:
-        """Closure residual of each solution [m], shape (..., n)."""
-        return self.configurations.closure_residual
 
     def _repr_html_(self) -> str:
         if self.shape:
@@ -176,31 +165,6 @@ class SolutionSet(Solutions[Configuration]):
         radius = None if self.radius is None else np.where(kept.exists, self.radius, np.nan)
         return replace(kept, radius=radius)
 
-    @property
-    def is_physical(self) -> BoolArray:
-        """True for solutions reached from the symmetric home without a forward singularity, shape (..., n).
-
-        If several are, and some are within the machine's limits, the others are dropped; use ``.within().physical()``
-        to exclude all that are beyond them.
-        """
-        mode = physical(self.configurations) if self.at_home is None else self.at_home & self.exists
-        limits = self.machine.limits
-        if limits is None:
-            return mode
-        # Usually the first two branches suffice; readings of the others are then not computed.
-        some = slice(int(np.flatnonzero(mode.reshape(-1, len(self.labels)).any(axis=0))[-1:].sum()) + 1)
-        inside = mode.copy()
-        inside[..., some] &= limits.contains(self.configurations[..., some].readings)
-        return np.where(inside.any(axis=-1, keepdims=True), inside, mode)
-
-    def _preference(self, candidates: BoolArray) -> FloatArray:
-        """Prefer, of two solutions on either side of an inverse singularity, the one with less tilted stages."""
-        score = np.where(candidates, 0.0, -np.inf)
-        several = candidates & (np.count_nonzero(candidates, axis=-1, keepdims=True) > 1)
-        if several.any():
-            score[several] = tilt_cosine_sum(self.configurations[several])
-        return score
-
     def _degenerate(self, index: tuple[int, ...]) -> str:
         if self.labels == BRANCHES and self.degeneracy is not None and self.degeneracy.legs[index].all():
             return (
@@ -218,14 +182,6 @@ class SolutionSet(Solutions[Configuration]):
                 reasons.append(f"The platform is turned by {turn:.0f}° relative to the base: angles are in radians")
             reasons.append("For the nearest pose that is reached see spm_pin.workspace.nearest_reachable_pose")
         return following(reasons)
-
-    def _details(self, batch: tuple[Any, ...]) -> dict[str, Any]:
-        inner = (*batch, slice(None))
-        values: dict[str, Any] = {"degeneracy": None if self.degeneracy is None else self.degeneracy[batch]}
-        for name in ("discriminants", "certain", "at_home", "merged", "radius"):
-            array = getattr(self, name)
-            values[name] = None if array is None else array[inner]
-        return values
 
 
 def _in_canonical_order(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from functools import cached_property
 from typing import Any
 
@@ -143,6 +142,11 @@ class StageConfiguration(Batched):
         return np.asarray(np.abs(apart).max(axis=-1))
 
     @property
+    def tilt_cosine_sum(self) -> FloatArray:
+        """Cosine of the tilt, shape (...)."""
+        return self.normal[..., 2]
+
+    @property
     def is_at_home(self) -> BoolArray:
         """True without torsion, and reached from the level platform without a forward singularity, shape (...)."""
         axes, centres, none = (rows_of(x) for x in (self.stage.legs.axes, self.circle_centres, np.zeros((3, 3))))
@@ -164,15 +168,6 @@ class StageSolutions(Solutions[StageConfiguration]):
     def stage(self) -> Stage:
         """The stage."""
         return self.configurations.stage
-
-    @property
-    def is_physical(self) -> BoolArray:
-        """True for solutions reached from the level platform without a forward singularity, shape (..., n)."""
-        return self.configurations.is_at_home
-
-    def _preference(self, candidates: BoolArray) -> FloatArray:
-        """Prefer the one that tilts least."""
-        return np.where(candidates, np.cos(self.configurations.tilt), -math.inf)
 
     def _hint(self, index: tuple[int, ...]) -> str:
         nearest = "For the nearest tilt that is reached see spm_pin.workspace.nearest_reachable_pose"
