@@ -145,6 +145,14 @@ class Batched(ABC):
         centres, _ = self._machine.legs.circles(self.readings)
         return centres
 
+    @property
+    def balls_of_stages(self) -> FloatArray:
+        """`balls` by stage, in {B}, and of the upper stage in {m} [m], shape (..., stages, 3, 3)."""
+        lower, upper = self.balls[..., :3, :], self.balls[..., 3:, :]
+        if not upper.shape[-2]:
+            return lower[..., None, :, :]
+        return np.stack([lower, (upper - self._translation[..., None, :]) @ self._rotation], axis=-3)
+
     @cached_property
     def circle_centres(self) -> FloatArray:
         """Centres of the circles on which balls move with locked actuators, as rows in {B} [m], (..., legs, 3).

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -22,8 +22,6 @@ from scipy.linalg import LinAlgError, eigh
 from spm_pin.errors import ArgumentError
 from spm_pin.loops.loop_state import TreeState
 from spm_pin.machine.configuration import Configuration
-from spm_pin.machine.manipulator import Manipulator
-from spm_pin.machine.stage import Stage
 from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.multibody.constrained_model import (
     ConstrainedModel,
@@ -181,10 +179,9 @@ class ChainState(ConstrainedState):
 
         corners = len(constrained.corner_frames)
         rotation, translation, points = self._each_member(member, [(3, 3), (3,), (corners, 3)])
-        machine = constrained.machine
-        if isinstance(machine, Stage):
-            return StageConfiguration.from_arrays(machine, rotation, translation)
-        return Configuration.from_arrays(cast(Manipulator, machine), rotation, translation, points)
+        if constrained.is_stage:
+            return StageConfiguration.from_arrays(constrained.machine, rotation, translation)
+        return Configuration.from_arrays(constrained.machine, rotation, translation, points)
 
     def inverse_jacobian(self) -> FloatArray:
         """Return J_f (..., 6, 6), which maps the platform's twist to the leg rates; for a stage (..., 3, 3).

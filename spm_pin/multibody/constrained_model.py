@@ -36,7 +36,6 @@ from spm_pin.loops.closures import Closure as LoopClosure
 from spm_pin.loops.state_kinematics import StateKinematics
 from spm_pin.machine.joint_angles import actuated_joints, home_readings, joint_names
 from spm_pin.machine.machine import Machine
-from spm_pin.machine.stage import Stage
 from spm_pin.support.arguments import FloatArray, IntArray, frozen, real_array
 
 AGREEMENT = 1e-9
@@ -135,7 +134,7 @@ class ConstrainedModel:
 
     def __init__(self, model: Any, closures: tuple[Closure, ...], machine: Machine, prefix: str) -> None:
         self.closures, self.machine = closures, machine
-        self.is_stage = isinstance(machine, Stage)
+        self.is_stage = len(machine.legs.stages) == 1
         self.freedoms = np.array([2, 3, 4] if self.is_stage else range(6), dtype=np.intp)
         joints = {name: model.joints[model.getJointId(prefix + name)] for name in joint_names(machine)}
         names = sorted(joints, key=lambda name: joints[name].idx_q)

@@ -17,9 +17,8 @@ from scipy.spatial import KDTree
 from spm_pin.errors import ArgumentError
 from spm_pin.formulas.leg_constants import TANGENT_SIGNS
 from spm_pin.formulas.stages import ANY_ASPECT, HOME_ASPECT
-from spm_pin.kinematics import stage_displacement
 from spm_pin.kinematics.batches import run_kernel
-from spm_pin.kinematics.forward_displacement import states_of_stages
+from spm_pin.kinematics.forward_displacement import forward_physical, states_of_stages
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.machine import Configuration, LegLimits, Machine, Manipulator, StageConfiguration
 from spm_pin.machine.batched import Batched
@@ -363,7 +362,7 @@ class StateSet:
         """Draw `count` sets of readings; return the coordinates (n, 3) of those of each stage that exist."""
         drawn = rng.uniform(self.minimum, self.maximum, (count, len(self.minimum)))
         if len(self.aspects) == 1:
-            states = stage_displacement.forward_physical(self.machine, drawn)
+            states = forward_physical(self.machine, drawn)
             return [self.coordinates(states[states.exists])[:, 0]]
         both, numbers = states_of_stages(self.machine, drawn)
         coordinates = self.coordinates(both)

@@ -202,7 +202,7 @@ class ViewerModel:
     def set_readings(self, readings: npt.ArrayLike) -> SessionState:
         """Move to encoder readings (6,) in the assembly mode, as far as it exists."""
         before = self.state.shown
-        target = read_readings(before.machine.legs, before.machine.size, readings)
+        target = read_readings(before.machine, readings)
         # The physical mode is solved directly, without following a path.
         shown = forward_physical(before.machine, target, near=None if physical(before) else before)
         share = 1.0
