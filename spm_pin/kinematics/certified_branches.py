@@ -30,7 +30,7 @@ from spm_pin.kinematics.intervals import SQRT_3, Interval
 from spm_pin.machine.branch_of_state import physical
 from spm_pin.machine.configuration import Configuration
 from spm_pin.machine.manipulator import Manipulator
-from spm_pin.machine.solution_axis import Status
+from spm_pin.machine.solutions import Status
 from spm_pin.support.arguments import BoolArray, FloatArray, IntArray
 
 Vectors = Any

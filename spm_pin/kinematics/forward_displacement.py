@@ -21,10 +21,9 @@ from spm_pin.machine.configuration import Configuration, check_state
 from spm_pin.machine.joint_angles import homes
 from spm_pin.machine.machine import Machine, unit_hint
 from spm_pin.machine.manipulator import Manipulator, check_same_machine
-from spm_pin.machine.solution_axis import Status
-from spm_pin.machine.solutions import Degeneracy, SolutionSet
+from spm_pin.machine.solutions import Degeneracy, SolutionSet, StageSolutions, Status
 from spm_pin.machine.stage import Stage
-from spm_pin.machine.stage_configuration import StageConfiguration, StageSolutions
+from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.support.arguments import FloatArray, IntArray, broadcastable
 
 ASSEMBLY_MODES = tuple(f"{lower}/{upper}" for lower in STAGE_MODES for upper in STAGE_MODES)

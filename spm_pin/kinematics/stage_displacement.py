@@ -13,9 +13,9 @@ from spm_pin.formulas.planar_legs import MOST_TURNED, RRS_LEGS
 from spm_pin.formulas.stage_poses import LEAST_RISE
 from spm_pin.kinematics.batches import run_kernel, with_batch_shape
 from spm_pin.kinematics.readings import check_unit
-from spm_pin.machine.solution_axis import Status
+from spm_pin.machine.solutions import StageSolutions, Status
 from spm_pin.machine.stage import Stage
-from spm_pin.machine.stage_configuration import BELOW, OPERATION_MODES, StageConfiguration, StageSolutions
+from spm_pin.machine.stage_configuration import BELOW, OPERATION_MODES, StageConfiguration
 from spm_pin.support.arguments import (
     FloatArray,
     broadcastable,

@@ -12,8 +12,9 @@ from spm_pin.kinematics.readings import read_readings
 from spm_pin.kinematics.stage_displacement import inverse, normals_of_request, read_heights
 from spm_pin.kinematics.stage_rates import determinants
 from spm_pin.kinematics.tracking import EventKind, FollowedPath, Watch, followed
+from spm_pin.machine.solutions import StageSolutions
 from spm_pin.machine.stage import Stage
-from spm_pin.machine.stage_configuration import StageConfiguration, StageSolutions
+from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.support.arguments import broadcastable, check_instance
 
 _KINDS = (

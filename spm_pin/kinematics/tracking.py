@@ -19,7 +19,7 @@ from spm_pin.errors import ArgumentError
 from spm_pin.machine.batched import Batched, stacked
 from spm_pin.machine.configuration import check_members
 from spm_pin.machine.machine import Machine
-from spm_pin.machine.solution_axis import Solutions
+from spm_pin.machine.solutions import Solutions
 from spm_pin.support.arguments import BoolArray, FloatArray, check_instance, whole_number
 
 S = TypeVar("S", bound=Batched)

@@ -11,7 +11,6 @@ from scipy.spatial.transform import RigidTransform
 from spm_pin.formulas import circles
 from spm_pin.formulas.operations import on_arrays, rows_of
 from spm_pin.machine.batched import Batched, masked
-from spm_pin.machine.solution_axis import Solutions, following
 from spm_pin.machine.stage import Stage
 from spm_pin.support.arguments import BoolArray, FloatArray, check_instance, frozen
 from spm_pin.support.pose import PoseLike, as_rigid_transform
@@ -153,25 +152,3 @@ class StageConfiguration(Batched):
         stage: Any = circles.Circles(axes, centres, none[0], none[0])  # type: ignore[arg-type]
         at_home = _is_home_state(stage, rows_of(self.leg_vectors), rows_of(self.balls), self.stage.kind.up)
         return np.asarray(at_home, dtype=np.bool_)
-
-
-class StageSolutions(Solutions[StageConfiguration]):
-    """The states of a stage that solve one problem, or a batch of problems, along one axis; see `SolutionSet`.
-
-    An inverse displacement has two, labelled by the operation modes T, without torsion, and F, a half turn; a forward
-    displacement the sixteen of `spm_pin.kinematics.STAGE_MODES`.
-    """
-
-    _kind = StageConfiguration
-
-    @property
-    def stage(self) -> Stage:
-        """The stage."""
-        return self.configurations.stage
-
-    def _hint(self, index: tuple[int, ...]) -> str:
-        nearest = "For the nearest tilt that is reached see spm_pin.workspace.nearest_reachable_pose"
-        if self.labels != OPERATION_MODES:
-            return super()._hint(index)
-        below = (self.configurations.height[index] < 0.0).any() and not self.is_physical[index].any()
-        return following([self.configurations.missing_reason, BELOW * bool(below), nearest])
