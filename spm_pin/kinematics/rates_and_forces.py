@@ -148,16 +148,7 @@ def _matrices(configuration: Configuration, kernel: Callable[..., object], kind:
         return matrices
     if kind == "forward":
         return matrices * configuration.slopes[..., None, :]
-    return matrices / _regular_slopes(configuration)[..., None]
-
-
-def _regular_slopes(configuration: Configuration) -> FloatArray:
-    """Return κ of the legs (..., 6), NaN if a leg is singular; a single singular state raises an error."""
-    slopes = configuration.slopes
-    singular = np.abs(slopes) <= SINGULAR * configuration.machine.legs.largest_slopes
-    if singular.any() and not configuration.shape:
-        raise SingularConfigurationError("leg", float(np.abs(slopes).min()))
-    return np.where(singular, np.nan, slopes)
+    return matrices / stage_rates.regular_slopes(configuration)[..., None]
 
 
 def _without_hold(configuration: Configuration) -> BoolArray:

@@ -17,7 +17,7 @@ from spm_pin.errors import SingularConfigurationError
 from spm_pin.formulas import stage_poses, wrenches
 from spm_pin.formulas.operations import on_arrays, rows_of, vector_of
 from spm_pin.kinematics.singularity_kinds import SINGULAR, SingularityKind, kinds_text
-from spm_pin.machine.batched import masked
+from spm_pin.machine.batched import Batched, masked
 from spm_pin.machine.configuration import check_members
 from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.support.arguments import FloatArray, broadcastable, check_instance, real_array
@@ -117,12 +117,17 @@ def parasitic_jacobian(configuration: StageConfiguration) -> FloatArray:
 def inverse_jacobian(configuration: StageConfiguration) -> FloatArray:
     """Return the map (..., 3, 3) from the motion to rates of readings; see `rates_and_forces.inverse_jacobian`."""
     twists = parasitic_jacobian(configuration)
-    slopes, largest = configuration.slopes, configuration.stage.legs.largest_slopes
-    stuck = np.abs(slopes) <= SINGULAR * largest
-    if stuck.any() and not configuration.shape:
-        raise SingularConfigurationError("leg", float(np.abs(slopes).min()))
     forces = _forces(configuration)[..., :3, :]
-    return np.asarray(forces @ twists / np.where(stuck, np.nan, slopes)[..., None])
+    return np.asarray(forces @ twists / regular_slopes(configuration)[..., None])
+
+
+def regular_slopes(state: Batched) -> FloatArray:
+    """Return κ of the legs (..., legs), NaN if a leg is singular; a single singular state raises an error."""
+    slopes = state.slopes
+    singular = np.abs(slopes) <= SINGULAR * state.machine.legs.largest_slopes
+    if singular.any() and not state.shape:
+        raise SingularConfigurationError("leg", float(np.abs(slopes).min()))
+    return np.where(singular, np.nan, slopes)
 
 
 def joint_loads(configuration: StageConfiguration, wrench: npt.ArrayLike) -> JointLoads:
