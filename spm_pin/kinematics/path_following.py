@@ -19,7 +19,6 @@ from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.kinematics.singularity_analysis import determinants
 from spm_pin.kinematics.tracking import CertifiedLimits, EventKind, FollowedPath, Solver, Watch, followed
 from spm_pin.machine.batched import Batched
-from spm_pin.machine.branch_of_state import physical
 from spm_pin.machine.configuration import Configuration
 from spm_pin.machine.manipulator import Manipulator, check_manipulator
 from spm_pin.support.arguments import FloatArray, as_array, real_array, type_and_value
@@ -100,7 +99,7 @@ def existing_share(
 def last_on_line(start: Configuration, readings: FloatArray) -> tuple[Configuration, float]:
     """Return the last configuration in the mode of `start` on the line to readings (6,), and its share of the line."""
     machine, first = start.machine, start.readings
-    if not physical(start):
+    if not start.is_at_home:
         path = follow(machine, np.stack([first, readings]), start, samples=4)
         return path.configurations[-1], float(path.parameters[-1])
     share = float(existing_share(partial(forward_physical, machine), first, readings[None])[0])

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from spm_pin.errors import ArgumentError, SelectionError
-from spm_pin.machine.legs import LegLimits
+from spm_pin.machine.legs import LegLimits, triangle_sides
 from spm_pin.machine.machine import Machine
 from spm_pin.support.arguments import BoolArray, FloatArray, frozen, type_and_value
 from spm_pin.support.pose import unchecked_transform
@@ -106,38 +106,30 @@ class Batched(ABC):
     def middle_pose(self) -> RigidTransform:
         """Pose in {B} of the platform that holds the lower legs' balls."""
 
-    @property
-    @abstractmethod
-    def closure_residual(self) -> FloatArray:
-        """Largest violation of the closure equations [m], shape (...)."""
-
-    @property
-    @abstractmethod
-    def readings(self) -> FloatArray:
-        """Readings of the legs' encoders, shape (..., legs)."""
-
-    def _in_base(self, rows: FloatArray, origin: FloatArray) -> FloatArray:
-        """Return rows in {B} of vectors (..., legs, 3) that are in the frames of the legs' plates."""
+    def _in_base(self, rows: FloatArray, *, are_points: bool = False) -> FloatArray:
+        """Return rows in {B} of vectors or points (..., legs, 3) that are in the frames of the legs' plates."""
         if rows.shape[-2] == 3:
             return rows
-        upper = rows[..., 3:, :] @ np.swapaxes(self._rotation, -1, -2) + origin
+        upper = rows[..., 3:, :] @ np.swapaxes(self._rotation, -1, -2)
+        if are_points:
+            upper += self._translation[..., None, :]
         return frozen(np.concatenate([np.broadcast_to(rows[..., :3, :], upper.shape), upper], axis=-2))
 
     @cached_property
     def leg_bases(self) -> FloatArray:
         """Pivots of the legs as rows in {B} [m], (..., 6, 3), Eqs. (1), (2); for a stage (3, 3), the same for all."""
-        return self._in_base(self._machine.legs.pivots, self._translation[..., None, :])
+        return self._in_base(self._machine.legs.pivots, are_points=True)
 
     @cached_property
     def leg_axes(self) -> FloatArray:
         """Unit revolute axes of the legs as rows in {B}, shapes as of `leg_bases`. Eq. (4)."""
-        return self._in_base(self._machine.legs.axes, np.zeros(3))
+        return self._in_base(self._machine.legs.axes)
 
     @property
     def leg_planes(self) -> tuple[FloatArray, FloatArray]:
         """Unit vectors x, outwards, and z, to the balls, of the legs' planes, in {B}, shapes as of `leg_bases`."""
         outward, forward = self._machine.legs.planes
-        return self._in_base(outward, np.zeros(3)), self._in_base(forward, np.zeros(3))
+        return self._in_base(outward), self._in_base(forward)
 
     @property
     def own_circle_centres(self) -> FloatArray:
@@ -160,8 +152,9 @@ class Batched(ABC):
         For RPS legs the `leg_bases`, for PRS legs the joints of carriage and rod, for RRS legs the knees.
         """
         if self._machine.legs.are_rps:
-            return np.broadcast_to(self.leg_bases, self.balls.shape)
-        return self._in_base(self.own_circle_centres, self._translation[..., None, :])
+            bases, shape = self.leg_bases, self.balls.shape
+            return bases if bases.shape == shape else np.broadcast_to(bases, shape)
+        return self._in_base(self.own_circle_centres, are_points=True)
 
     @cached_property
     def leg_vectors(self) -> FloatArray:
@@ -172,6 +165,22 @@ class Batched(ABC):
         centres, balls = self.circle_centres, self.balls
         return frozen(np.concatenate([(balls - centres)[..., :3, :], (centres - balls)[..., 3:, :]], axis=-2))
 
+    @cached_property
+    def leg_lengths(self) -> FloatArray:
+        """Distances of balls and pivots, r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m], shape (..., legs). Eq. (20)."""
+        return frozen(np.sqrt(((self.balls - self.leg_bases) ** 2).sum(axis=-1)))
+
+    @cached_property
+    def readings(self) -> FloatArray:
+        """Readings of the encoders, (..., legs): [m], for RRS legs [rad]; NaN for a ball out of a leg's reach.
+
+        For RPS legs they are `leg_lengths` plus the offsets of the machine.
+        """
+        legs = self._machine.legs
+        return frozen(
+            self.leg_lengths + legs.offsets if legs.are_rps else legs.readings(self.places, self._machine.crank_middles)
+        )
+
     @property
     def compared_points(self) -> FloatArray:
         """Points whose displacements measure the distance between two states, as rows in {B} [m], shape (..., n, 3).
@@ -179,6 +188,20 @@ class Batched(ABC):
         The balls of a stage; of a manipulator b_i and c_i.
         """
         return self.balls
+
+    @cached_property
+    def closure_residual(self) -> FloatArray:
+        """Largest violation of the closure equations [m], shape (...); NaN for a missing member.
+
+        These are distances of balls from the planes of their legs, Eqs. (5b), (5c), and errors of sides, Eq. (12).
+        """
+        balls, legs = self.balls, self._machine.legs
+        # Axes, and distances of the planes from O; the latter are exactly zero in a nominal machine.
+        axes, pivots = legs.axes[:3], legs.pivots[:3]
+        lower = (balls[..., :3, :] * axes).sum(axis=-1) - (pivots * axes).sum(axis=-1)
+        upper = ((balls - self.leg_bases) * self.leg_axes)[..., 3:, :].sum(axis=-1)
+        sides = triangle_sides(balls[..., :3, :]) - legs.sides
+        return frozen(np.asarray(np.abs(np.concatenate([lower, upper, sides], axis=-1)).max(axis=-1)))
 
     @abstractmethod
     def where(self, kept: BoolArray) -> Self:

@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 from spm_pin.errors import ArgumentError
 from spm_pin.machine.batched import Batched, masked
 from spm_pin.machine.branch_of_state import physical, tilt_cosine_sum
-from spm_pin.machine.legs import LEGS, triangle_frames, triangle_sides
+from spm_pin.machine.legs import LEGS, triangle_frames
 from spm_pin.machine.machine import ALONE
 from spm_pin.machine.manipulator import Manipulator, check_manipulator
 from spm_pin.support import notebook
@@ -155,41 +155,12 @@ class Configuration(Batched):
         return self.leg_axes[..., 3:, :]
 
     @cached_property
-    def leg_lengths(self) -> FloatArray:
-        """r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m], shape (..., 6): distances of balls and pivots. Eq. (20)."""
-        return frozen(np.sqrt(((self.balls - self.leg_bases) ** 2).sum(axis=-1)))
-
-    @cached_property
-    def readings(self) -> FloatArray:
-        """Readings of the legs' encoders, shape (..., 6): [m], for RRS legs [rad]; NaN for a ball out of a leg's reach.
-
-        For RPS legs they are `leg_lengths` plus the offsets of the machine.
-        """
-        legs = self.machine.legs
-        return frozen(
-            self.leg_lengths + legs.offsets if legs.are_rps else legs.readings(self.places, self.machine.crank_middles)
-        )
-
-    @cached_property
     def middle_pose(self) -> RigidTransform:
         """Pose of the middle platform {n} in {B}; in a nominal machine at the triangle's centre, x along b_3 b_1."""
         corners = self.machine.legs.balls[:3]
         frames = triangle_frames(self.middle_joints) @ triangle_frames(corners).T
         centres = self.middle_joints.mean(axis=-2) - frames @ corners.mean(axis=0)
         return unchecked_transform(frames, centres)
-
-    @cached_property
-    def closure_residual(self) -> FloatArray:
-        """Largest violation of the nine closure equations [m], shape (...); NaN for a missing member.
-
-        These are distances of balls from the planes of their legs, Eqs. (5b), (5c), and errors of sides, Eq. (12).
-        """
-        b, legs = self.middle_joints, self.machine.legs
-        # Axes, and distances of the planes from O; the latter are exactly zero in a nominal machine.
-        lower = (b * legs.axes[:3]).sum(axis=-1) - (legs.pivots[:3] * legs.axes[:3]).sum(axis=-1)
-        upper = ((self.balls[..., 3:, :] - self.platform_joints) * self.platform_axes).sum(axis=-1)
-        sides = triangle_sides(b) - legs.sides
-        return frozen(np.asarray(np.abs(np.concatenate([lower, upper, sides], axis=-1)).max(axis=-1)))
 
 
 def check_configuration(

@@ -226,7 +226,7 @@ class Solutions(Generic[S]):
         """
         mode = self.configurations.is_at_home if self.at_home is None else self.at_home & self.exists
         limits = self.configurations.limits
-        if limits is None:
+        if limits is None or np.count_nonzero(mode, axis=-1).max(initial=0) <= 1:
             return mode
         # Usually the first two branches suffice; readings of the others are then not computed.
         some = slice(int(np.flatnonzero(mode.reshape(-1, len(self.labels)).any(axis=0))[-1:].sum()) + 1)

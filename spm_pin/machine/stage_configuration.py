@@ -129,17 +129,6 @@ class StageConfiguration(Batched):
         """Pose of the platform, as of a robot's middle platform."""
         return self.pose
 
-    @cached_property
-    def readings(self) -> FloatArray:
-        """Readings of the legs' encoders, shape (..., 3): [m] ([rad] for RRS legs); NaN for a ball out of reach."""
-        return frozen(self.stage.legs.readings(self.places, self.stage.crank_middles))
-
-    @property
-    def closure_residual(self) -> FloatArray:
-        """Largest distance of a ball from the plane of its leg [m], shape (...)."""
-        apart = ((self.balls - self.leg_bases) * self.leg_axes).sum(axis=-1)
-        return np.asarray(np.abs(apart).max(axis=-1))
-
     @property
     def tilt_cosine_sum(self) -> FloatArray:
         """Cosine of the tilt, shape (...)."""

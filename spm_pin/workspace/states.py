@@ -22,7 +22,7 @@ from spm_pin.kinematics.forward_displacement import forward_physical, states_of_
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.machine import Configuration, LegLimits, Machine, Manipulator, StageConfiguration
 from spm_pin.machine.batched import Batched
-from spm_pin.machine.branch_of_state import FAMILIES, family, physical, stage_coordinates
+from spm_pin.machine.branch_of_state import FAMILIES, family, stage_coordinates
 from spm_pin.machine.configuration import Condition, check_condition
 from spm_pin.machine.machine import check_machine
 from spm_pin.support.arguments import (
@@ -408,7 +408,7 @@ def pose_multiplicity(states: StateSet, configurations: Configuration) -> IntArr
     branches = inverse_displacement(states.machine, configurations.pose).configurations
     within = states.admits(branches.readings).all(axis=-1)
     # A state at a limit may miss it by rounding: it counts itself at least.
-    return np.asarray(np.maximum((physical(branches) & within).sum(axis=-1), 1), dtype=np.intp)
+    return np.asarray(np.maximum((branches.is_at_home & within).sum(axis=-1), 1), dtype=np.intp)
 
 
 def given_limits(machine: Machine, limits: LegLimits | None) -> LegLimits | None:
