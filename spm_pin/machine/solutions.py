@@ -226,7 +226,7 @@ class Solutions(Generic[S]):
         """
         mode = self.configurations.is_at_home if self.at_home is None else self.at_home & self.exists
         limits = self.configurations.limits
-        if limits is None or np.count_nonzero(mode, axis=-1).max(initial=0) <= 1:
+        if limits is None or np.count_nonzero(mode) <= 1:
             return mode
         # Usually the first two branches suffice; readings of the others are then not computed.
         some = slice(int(np.flatnonzero(mode.reshape(-1, len(self.labels)).any(axis=0))[-1:].sum()) + 1)
@@ -253,6 +253,8 @@ class Solutions(Generic[S]):
 
     def least_tilted(self, candidates: BoolArray) -> IntArray:
         """Return the index (...) of the candidate (..., n) whose stages are least tilted, 0 if there is none."""
+        if np.count_nonzero(candidates) <= 1:
+            return np.asarray(candidates.argmax(axis=-1))
         score = np.where(candidates, 0.0, -np.inf)
         several = candidates & (np.count_nonzero(candidates, axis=-1, keepdims=True) > 1)
         if several.any():
