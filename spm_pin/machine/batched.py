@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 from spm_pin.errors import ArgumentError, SelectionError
 from spm_pin.machine.legs import LegLimits, triangle_sides
 from spm_pin.machine.machine import Machine
-from spm_pin.support.arguments import BoolArray, FloatArray, frozen, type_and_value
+from spm_pin.support.arguments import BoolArray, FloatArray, check_instance, frozen, type_and_value
 from spm_pin.support.pose import unchecked_transform
 
 S = TypeVar("S", bound="Batched")
@@ -58,7 +58,7 @@ class Batched(ABC):
 
     def with_machine(self, machine: Machine) -> Self:
         """Return the same states of another machine, which has the same dimensions but perhaps other limits."""
-        return self.from_arrays(machine, *self._arrays)
+        return self.from_arrays(check_instance(machine, type(self._machine), "machine"), *self._arrays)
 
     def transformed(self, change: Callable[[FloatArray, int], FloatArray]) -> Self:
         """Return the states with each array replaced by `change(array, number of inner axes)`."""

@@ -249,17 +249,7 @@ class Solutions(Generic[S]):
         candidates = self.is_physical
         if near is not None:
             return self._nearest(near, candidates)
-        return self.pick(self.least_tilted(candidates), np.asarray(candidates.any(axis=-1)))
-
-    def least_tilted(self, candidates: BoolArray) -> IntArray:
-        """Return the index (...) of the candidate (..., n) whose stages are least tilted, 0 if there is none."""
-        if np.count_nonzero(candidates) <= 1:
-            return np.asarray(candidates.argmax(axis=-1))
-        score = np.where(candidates, 0.0, -np.inf)
-        several = candidates & (np.count_nonzero(candidates, axis=-1, keepdims=True) > 1)
-        if several.any():
-            score[several] = self.configurations[several].tilt_cosine_sum
-        return np.asarray(score.argmax(axis=-1))
+        return self.pick(least_tilted(self.configurations, candidates), np.asarray(candidates.any(axis=-1)))
 
     def one(self) -> S:
         """Return the only solution of every problem.
@@ -471,6 +461,17 @@ class StageSolutions(Solutions[StageConfiguration]):
             return super()._hint(index)
         below = (self.configurations.height[index] < 0.0).any() and not self.is_physical[index].any()
         return _following([self.configurations.missing_reason, BELOW * bool(below), nearest])
+
+
+def least_tilted(states: Batched, candidates: BoolArray) -> IntArray:
+    """Return the index (...) of the candidate (..., n) whose stages are least tilted, 0 if there is none."""
+    if np.count_nonzero(candidates) <= 1:
+        return np.asarray(candidates.argmax(axis=-1))
+    score = np.where(candidates, 0.0, -np.inf)
+    several = candidates & (np.count_nonzero(candidates, axis=-1, keepdims=True) > 1)
+    if several.any():
+        score[several] = states[several].tilt_cosine_sum
+    return np.asarray(score.argmax(axis=-1))
 
 
 def _following(sentences: Iterable[str]) -> str:

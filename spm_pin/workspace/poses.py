@@ -38,6 +38,7 @@ from spm_pin.machine import (
 from spm_pin.machine.branch_of_state import branch_sign, family
 from spm_pin.machine.configuration import Condition, check_configuration, check_state
 from spm_pin.machine.manipulator import check_manipulator, check_same_machine
+from spm_pin.machine.solutions import least_tilted
 from spm_pin.support.arguments import (
     BoolArray,
     FloatArray,
@@ -203,7 +204,7 @@ class Reachability:
     @property
     def branch(self) -> IntArray:
         """Index of the label of the allowed branch that tilts least, shape (...); -1 if no branch is allowed."""
-        index = self.branches.least_tilted(self.allowed)
+        index = least_tilted(self.branches.configurations, self.allowed)
         return np.where(self.allowed.any(axis=-1), index, -1).astype(np.intp)
 
     @property
