@@ -14,7 +14,8 @@ import numpy.typing as npt
 
 from spm_pin.description import Ball, actuated_joints, joint_values, mjcf_text
 from spm_pin.errors import ArgumentError, MissingExtraError
-from spm_pin.kinematics.stage_displacement import forward_physical, inverse_physical
+from spm_pin.kinematics.forward_displacement import forward_physical
+from spm_pin.kinematics.stage_displacement import inverse_physical
 from spm_pin.machine import RRS, Stage, StageConfiguration
 from spm_pin.support.arguments import FloatArray, check_instance, real_array, real_number, type_and_value
 from spm_pin.workspace import height_range

@@ -162,12 +162,15 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     **dict.fromkeys(("leg_grid.lower", "leg_grid.upper"), lambda: (1.2, 1.3, 2)),
     "machine": lambda: PAPER,
     "stage": lambda: STAGE,
+    "stages.machine": lambda: STAGE,
     "height": lambda: 0.12,
     "arrays.stage_inverse.height": lambda: np.array(0.12),
     "arrays.stage_inverse.normal": lambda: np.array([0.0, 0.0, 1.0]),
     "arrays.stage_forward.readings": lambda: STAGE_STATE.readings.copy(),
     "arrays.stage_forward.near": lambda: STAGE_STATE,
-    **{f"stages.{name}.readings": lambda: STAGE_STATE.readings for name in ("forward", "forward_physical")},
+    **dict.fromkeys(
+        ("stages.forward_displacement.readings", "stages.forward_physical.readings"), lambda: STAGE_STATE.readings
+    ),
     **{f"StageSolutions.{name}.near": lambda: STAGE_STATE for name in ("nearest", "physical")},
     "stages.forward_physical.near": lambda: STAGE_STATE,
     "stages.follow.readings": lambda: [STAGE_STATE.readings, STAGE_STATE.readings + 0.01],
@@ -367,7 +370,7 @@ EITHER = (
 )
 """Functions that take a stage as well as a manipulator, and are called with both."""
 
-OF_STAGES = (stage_displacement.forward, stage_displacement.forward_physical, stage_displacement.inverse)
+OF_STAGES = (spm.forward_displacement, spm.forward_physical, stage_displacement.inverse)
 OF_STAGES += (stage_displacement.inverse_physical, follow)
 """What functions of either machine call for a stage, with its arguments."""
 

@@ -13,9 +13,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from spm_pin.description.masses import Masses, Numbers, Placement, numbers, read_inertial, read_placement
-from spm_pin.description.source_files import Closure, read_closures, urdf_text
+from spm_pin.description.source_files import Closure, machine_or_paper, read_closures, urdf_text
 from spm_pin.errors import DescriptionError
-from spm_pin.machine import Stage
 from spm_pin.machine.machine import Machine
 from spm_pin.support.arguments import FloatArray
 from spm_pin.support.pose import homogeneous
@@ -169,7 +168,7 @@ def read_robot(
     """Return a manipulator, or a stage alone, as data; arguments are those of `urdf_text`."""
     root = ElementTree.fromstring(urdf_text(machine, prefix=prefix, meshes=meshes, masses=masses))
     return Robot(
-        "stage" if isinstance(machine, Stage) else "spm",
+        machine_or_paper(machine).file_stem,
         {_name(node): _link(node) for node in root.iter("link")},
         {joint.name: joint for joint in map(_joint, root.findall("joint"))},
         read_closures(machine, prefix=prefix),

@@ -13,7 +13,7 @@ import yaml
 
 from spm_pin.description.masses import Masses, with_masses
 from spm_pin.errors import DescriptionError, raised_as
-from spm_pin.machine import Manipulator, Stage
+from spm_pin.machine import Manipulator
 from spm_pin.machine.joint_angles import home_readings
 from spm_pin.machine.machine import Machine, check_machine
 from spm_pin.machine.manipulator import config_directory
@@ -23,6 +23,8 @@ from spm_pin.support.files import write_files
 # Names of files; `spm_pin.description` documents them.
 ENTRY = "spm.urdf.xacro"
 STAGE_ENTRY = "stage.urdf.xacro"
+_SOURCES = {"spm": (ENTRY, "geometry", "closures"), "stage": (STAGE_ENTRY, "stage", "stage_closures")}
+"""By `Machine.file_stem`: entry, its argument for the machine's file, and the key of the closures."""
 URDF = "spm.urdf"
 SRDF = "spm.srdf"
 MJCF = "spm.xml"
@@ -89,7 +91,7 @@ class Closure:
 def read_closures(machine: Machine | None = None, *, prefix: str = "") -> tuple[Closure, ...]:
     """Return the closures of the robot, or of a `Stage`, from `config/closures.yaml`; names begin with `prefix`."""
     check_prefix(prefix)
-    key = "stage_closures" if isinstance(machine_or_paper(machine), Stage) else "closures"
+    _, _, key = _SOURCES[machine_or_paper(machine).file_stem]
     entries = yaml.safe_load(description_file(CLOSURES).read_text(encoding="utf-8"))[key]
     return tuple(Closure(**{key: prefix + name for key, name in entry.items()}) for entry in entries)
 
@@ -133,7 +135,7 @@ def urdf_text(
         raise DescriptionError("meshes", "the folder of the meshes as text, or None", repr(meshes))
     machine = machine_or_paper(machine)
     home_readings(machine)
-    entry, argument = (STAGE_ENTRY, "stage") if isinstance(machine, Stage) else (ENTRY, "geometry")
+    entry, argument, _ = _SOURCES[machine.file_stem]
     if masses is not None:
         check_instance(masses, Masses, "masses")
     folder_of_meshes = (description_directory() / MESHES).as_posix() if meshes is None else meshes

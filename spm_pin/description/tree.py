@@ -10,7 +10,8 @@ import numpy as np
 from spm_pin.description.source_files import check_prefix, machine_or_paper, read_closures
 from spm_pin.errors import DescriptionError
 from spm_pin.machine import Configuration, StageConfiguration, joint_angles
-from spm_pin.machine.joint_angles import actuated_joints, check_state, joint_names, value_names
+from spm_pin.machine.configuration import check_state
+from spm_pin.machine.joint_angles import actuated_joints, joint_names, value_names
 from spm_pin.machine.machine import Machine
 
 HOME = "home"

@@ -25,6 +25,8 @@ from spm_pin.support.xml_elements import Value, document, element, texts, writte
 
 _ORIGIN = "Written by spm_pin, which is the place for changes."
 
+_ACTUATORS = {"spm": "motors", "stage": "servos"}
+"""Default actuators, by `Machine.file_stem`."""
 SERVO = 200.0
 """Natural frequency of the machine on its servos [rad/s]: they deflect by g / SERVO² = 0.25 mm under its weight."""
 _FRICTION = (0.8, 0.001, 0.0001)
@@ -110,8 +112,8 @@ def mjcf_text(
     check_prefix(prefix)
     machine = machine_of({} if states is None else states, machine_or_paper(machine))
     values_by_state = state_values({} if states is None else states, machine, prefix)
-    kind = "servos" if isinstance(machine, Stage) else "motors"
-    kind = choice(kind if actuators is None else actuators, "actuators", ("motors", "servos"))
+    kind = _ACTUATORS[machine.file_stem] if actuators is None else actuators
+    kind = choice(kind, "actuators", ("motors", "servos"))
     stage = None if ball is None else _stage_under(ball, machine)
     shapes = choice("exact" if collisions is None else collisions, "collisions", ("exact", "simple", "none"))
     robot = read_robot(machine, prefix=prefix, meshes=meshes, masses=masses)

@@ -13,7 +13,6 @@ from spm_pin.errors import ArgumentError
 from spm_pin.kinematics import inverse_displacement, leg_forces
 from spm_pin.kinematics.stage_displacement import normals_of_request
 from spm_pin.machine import Configuration, Manipulator, Stage, StageConfiguration, as_rigid_transform
-from spm_pin.machine.branch_of_state import physical
 from spm_pin.machine.machine import check_machine
 from spm_pin.support.arguments import FloatArray, broadcastable, real_array, whole_number
 from spm_pin.sweeps.points import Poses, Tilts
@@ -129,7 +128,6 @@ class Task:
         states = self._requests.solved_by(inverse_displacement, machine).configurations
         margins = limits.margin(states.readings, machine.legs.largest_slopes)
         # A machine does not change its branch between poses: branches meet at inverse singularities.
-        at_home = states.is_at_home if isinstance(states, StageConfiguration) else physical(states)
-        worst = np.where(at_home, margins, -np.inf).min(axis=0)
+        worst = np.where(states.is_at_home, margins, -np.inf).min(axis=0)
         branch = int(worst.argmax())
         return (float(worst[branch]), states[:, branch]) if np.isfinite(worst[branch]) else (float("nan"), None)

@@ -27,10 +27,9 @@ from spm_pin.formulas.stages import cartesian
 from spm_pin.formulas.vectors import combined, cross, dot, minus, rotation_of, scaled, times
 from spm_pin.kinematics.batches import BuiltBranches, DrawnBranches
 from spm_pin.kinematics.intervals import SQRT_3, Interval
-from spm_pin.machine.branch_of_state import physical
 from spm_pin.machine.configuration import Configuration
 from spm_pin.machine.manipulator import Manipulator
-from spm_pin.machine.solution_axis import Status
+from spm_pin.machine.solutions import Status
 from spm_pin.support.arguments import BoolArray, FloatArray, IntArray
 
 Vectors = Any
@@ -78,7 +77,7 @@ def _decide_families(machine: Manipulator, solved: DrawnBranches, undecided: Boo
         if status[n] in (Status.OK, Status.UNREACHABLE):
             status[n] = Status.OK if branches.exists.any() else Status.UNREACHABLE
         if anew[0]:
-            at_home[n, :2] = physical(branches[:2])
+            at_home[n, :2] = branches[:2].is_at_home
 
 
 _ExactFamily = tuple[float, FloatArray, FloatArray]

@@ -1,4 +1,4 @@
-"""Forward displacement: every assembly mode of six leg lengths, the physical one, and the one near a state.
+"""Forward displacement: every assembly mode of a machine's readings, the physical one, and the one near a state.
 
 The upper stage in {m} is a 3RPS stage like the lower one, so the two are solved independently, and every
 solution of one is combined with every solution of the other. The physical state is the one to which Newton's method
@@ -8,59 +8,63 @@ Newton's method provably does not leave it. See `docs/theory/forward_displacemen
 
 from __future__ import annotations
 
+from typing import Any, overload
+
 import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
-from spm_pin.kinematics import stage_displacement
-from spm_pin.kinematics.batches import flat_batch, radii, run_kernel, with_batch_shape
-from spm_pin.kinematics.either_machine import or_of_stage
+from spm_pin.kinematics.batches import flat_batch, run_kernel, with_batch_shape
 from spm_pin.kinematics.readings import read_readings
 from spm_pin.kinematics.stage_balls import STAGE_MODES, Modes, NominalStage, all_modes, followed_balls, physical_balls
-from spm_pin.machine.configuration import Configuration, check_configuration
+from spm_pin.machine.configuration import Configuration, check_state
 from spm_pin.machine.joint_angles import homes
-from spm_pin.machine.machine import unit_hint
-from spm_pin.machine.manipulator import Manipulator, check_manipulator, check_same_machine
-from spm_pin.machine.solution_axis import Status
-from spm_pin.machine.solutions import Degeneracy, SolutionSet
+from spm_pin.machine.machine import Machine, unit_hint
+from spm_pin.machine.manipulator import Manipulator, check_same_machine
+from spm_pin.machine.solutions import Degeneracy, SolutionSet, StageSolutions, Status
+from spm_pin.machine.stage import Stage
+from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.support.arguments import FloatArray, IntArray, broadcastable
 
 ASSEMBLY_MODES = tuple(f"{lower}/{upper}" for lower in STAGE_MODES for upper in STAGE_MODES)
 """Canonical order of the 256 assembly modes of the manipulator: the lower stage's, then the upper stage's."""
 
 _OPEN = 1e-6
-"""Largest closure residual of a configuration, relative to d."""
+"""Largest closure residual of a configuration, relative to the side of the balls' triangle."""
 _START = np.array([1.20, 1.20, 1.40, 1.25, 1.20, 1.50]) / 1.30
 """Leg lengths of the paper's solution 3, over its home lengths."""
-_STATE = ((3, 3), np.float64), ((3,), np.float64), ((3, 3), np.float64)
-"""Results of kernels: R, o and the b_i."""
 _MIN_BATCH_PER_THREAD, _MIN_BATCH_PER_THREAD_PHYSICAL = 1 << 8, 1 << 12
 
 
-@or_of_stage(stage_displacement.forward)
-def forward_displacement(machine: Manipulator, readings: npt.ArrayLike) -> SolutionSet:
-    """Find all configurations with given leg lengths; for a stage see `spm_pin.kinematics.stage_displacement.forward`.
+@overload
+def forward_displacement(machine: Manipulator, readings: npt.ArrayLike) -> SolutionSet: ...
+@overload
+def forward_displacement(machine: Stage, readings: npt.ArrayLike) -> StageSolutions: ...
+def forward_displacement(machine: Any, readings: npt.ArrayLike) -> Any:
+    """Find all configurations with given readings: the assembly modes.
 
     Parameters
     ----------
     machine : Manipulator or Stage
-        The manipulator. Its leg limits are not applied.
+        The machine. Its limits are not applied.
     readings : array_like, shape (..., 6); for a stage (..., 3)
-        r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m], in a nominal machine from revolute joint to ball joint centre.
+        r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m] ([rad] for RRS legs), in a nominal machine with RPS legs from revolute
+        joint to ball joint centre.
 
     Returns
     -------
-    SolutionSet
-        The assembly modes of `ASSEMBLY_MODES` along the last axis, so `.rotation` is (..., 256, 3, 3), `.translation`
-        (..., 256, 3) and `.middle_joints` (..., 256, 3, 3), NaN where a mode is not real. `.status` (...) is
-        `Status.OK`; `UNREACHABLE` if a stage cannot be closed; `DEGENERATE` if a stage of a nominal machine moves
-        with locked legs: the continuous family is omitted, and `.degeneracy` says to which families of modes it
-        belongs; or `UNSOLVED`, all missing, if modes could not be separated: beside such a family, with legs
-        shorter than a thousandth of the middle platform, and in a calibrated machine beside a forward singularity or
-        with legs of fifty times its sides.
+    SolutionSet, or StageSolutions for a stage
+        The assembly modes of `ASSEMBLY_MODES`, for a stage `STAGE_MODES`, along the last axis, so `.rotation` is
+        (..., 256, 3, 3) or (..., 16, 3, 3), NaN where a mode is not real or a leg is in another working mode. `.status`
+        (...) is `Status.OK`; `UNREACHABLE` if a stage cannot be closed; `DEGENERATE` if a stage of a nominal machine
+        with RPS legs moves with locked legs: the continuous family is omitted, and `.degeneracy` of a manipulator says
+        to which families of modes it belongs; or `UNSOLVED`, all missing, if modes could not be separated: beside such
+        a family, with legs shorter than a thousandth of the middle platform, and in a calibrated machine beside a
+        forward singularity or with legs of fifty times its sides.
 
-        For a calibrated machine labels are tracked from the nominal machine with the same leg lengths while the errors
-        grow. `.merged` (..., 256) is true if the tracked mode has met another one, and for remaining labels.
+        For a calibrated manipulator labels are tracked from the nominal machine with the same readings while the errors
+        grow. `.merged` (..., 256) is true if the tracked mode has met another one, and for remaining labels. Numbers of
+        modes are arbitrary for legs that are not RPS, and for a calibrated stage.
 
     Notes
     -----
@@ -75,15 +79,29 @@ def forward_displacement(machine: Manipulator, readings: npt.ArrayLike) -> Solut
     >>> modes = spm.forward_displacement(spm.Manipulator.paper(), [1.20, 1.20, 1.40, 1.25, 1.20, 1.50])
     >>> int(modes.count), modes["T1+/T1+"].translation.round(4)
     (144, array([0.6889, 0.4963, 2.253 ]))
+    >>> spm.forward_displacement(spm.Stage(base_radius=0.7, platform_radius=0.46), [1.2, 1.2, 1.4])
+    <StageSolutions: ok, 12 of 16 real: T1+, T1-, T2+, T2-, T3+, T3-, T4+, T4-, …>
     """
+    read = read_readings(machine, readings)
+    legs = machine.legs.stages
+    columns = np.moveaxis(read.reshape(-1, len(legs), 3), 1, 0)
+    solved = [all_modes(*stage) for stage in zip(legs, columns, _nominal_stages(machine), strict=True)]
+    return (_modes_of_stage if len(solved) == 1 else _modes_of_manipulator)(machine, read, *solved)
+
+
+def _modes_of_stage(stage: Stage, readings: FloatArray, modes: Modes) -> StageSolutions:
+    shape = readings.shape[:-1]
+    states = _joined(stage, (*shape, len(STAGE_MODES)), modes.balls, readings[..., None, :])
+    status, continuous = modes.status.reshape(shape), modes.continuous.any(axis=-1).reshape(shape)
+    status[continuous & (status == Status.OK)] = Status.DEGENERATE
+    status[(status == Status.OK) & ~states.exists.any(axis=-1)] = Status.UNREACHABLE
+    return StageSolutions(states, STAGE_MODES, status)
+
+
+def _modes_of_manipulator(machine: Manipulator, readings: FloatArray, below: Modes, above: Modes) -> SolutionSet:
     from spm_pin.kinematics.kernels.circle_modes import join_modes
 
-    legs = check_manipulator(machine).legs
-    checked = read_readings(legs, sum(machine.dimensions), readings)
-    shape, readings, n = checked.shape[:-1], checked.reshape(-1, 6), len(ASSEMBLY_MODES)
-    is_nominal_rps = machine.is_nominal and legs.are_rps
-    stages = zip(legs.stages, _of_stages(readings), _nominal_stages(machine), strict=True)
-    below, above = (all_modes(*stage) for stage in stages)
+    legs, shape, n = machine.legs, readings.shape[:-1], len(ASSEMBLY_MODES)
     # If one stage cannot be closed there is no solution.
     is_absent = (below.status == Status.UNREACHABLE) | (above.status == Status.UNREACHABLE)
     status = np.where(is_absent, Status.UNREACHABLE, np.maximum(below.status, above.status)).astype(np.int8)
@@ -99,45 +117,51 @@ def forward_displacement(machine: Manipulator, readings: npt.ArrayLike) -> Solut
     largest = np.asarray(families.max(axis=-1))
     modes = Configuration.from_arrays(machine, *state)
     if not shape and status == Status.UNREACHABLE:
-        modes.missing_reason = unit_hint(machine, checked)
+        modes.missing_reason = unit_hint(machine, readings)
     return SolutionSet(
         modes,
         ASSEMBLY_MODES,
         np.where(largest > 0, Status.DEGENERATE, status),
         degeneracy=Degeneracy(largest, families > 0, np.zeros((*shape, 3), dtype=np.bool_)),
-        merged=None if is_nominal_rps else merged,
+        merged=None if machine.is_nominal and legs.are_rps else merged,
     )
 
 
-@or_of_stage(stage_displacement.forward_physical)
-def forward_physical(machine: Manipulator, readings: npt.ArrayLike, near: Configuration | None = None) -> Configuration:
+@overload
+def forward_physical(
+    machine: Manipulator, readings: npt.ArrayLike, near: Configuration | None = ...
+) -> Configuration: ...
+@overload
+def forward_physical(
+    machine: Stage, readings: npt.ArrayLike, near: StageConfiguration | None = ...
+) -> StageConfiguration: ...
+def forward_physical(machine: Any, readings: npt.ArrayLike, near: Any = None) -> Any:
     """Find the physical configuration with these readings, in which an assembled machine is.
-
-    For a stage see `spm_pin.kinematics.stage_displacement.forward_physical`.
 
     Parameters
     ----------
     machine : Manipulator or Stage
-        The manipulator. Its leg limits are not applied.
+        The machine. Its limits are not applied.
     readings : array_like, shape (..., 6); for a stage (..., 3)
-        Readings of the encoders of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m]: in a nominal machine the leg lengths.
-    near : Configuration, optional
+        Readings of the encoders of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m] ([rad] for RRS legs): in a nominal machine
+        with RPS legs the leg lengths.
+    near : Configuration, for a stage StageConfiguration, optional
         A state of the machine before. Its leading axes broadcast with those of `readings`.
 
     Returns
     -------
-    Configuration
-        Of shape (...). Without `near` the configuration in the home assembly region: both stages without
+    Configuration, or StageConfiguration for a stage
+        Of shape (...). Without `near` the configuration in the home assembly region: all stages without
         torsion, on the sheet +, and reached from equal legs without a forward singularity. With `near` the end of the
-        path on which its leg lengths change to the given ones in a straight line, whatever its mode. `.exists` is
+        path on which its readings change to the given ones in a straight line, whatever its mode. `.exists` is
         False, and everything NaN, if there is no such configuration, or if that path meets a forward
         singularity or takes more than 250,000 steps of a stage.
 
     Raises
     ------
     ArgumentError
-        If a length is too large for the machine to be resolved, or `near` does not close or belongs to
-        another machine.
+        If a length is too large for the machine to be resolved, or for a stage out of proportion to it, or `near` does
+        not close or belongs to another machine.
 
     Notes
     -----
@@ -154,19 +178,20 @@ def forward_physical(machine: Manipulator, readings: npt.ArrayLike, near: Config
     >>> state.pose.rotation.as_euler("XYX", degrees=True).round(4)
     array([-11.0818,  32.9691, -12.8831])
     """
-    legs = check_manipulator(machine).legs
-    checked = read_readings(legs, sum(machine.dimensions), readings)
-    if near is not None:
-        _check_near(machine, checked, near)
-        shape = np.broadcast_shapes(checked.shape[:-1], near.shape)
-        upper = (near.balls[..., 3:, :] - near.translation[..., None, :]) @ near.rotation
-        balls = np.stack([near.middle_joints, upper], axis=-3)
-        flat = [flat_batch(x, shape, inner) for x, inner in ((balls, 3), (near.readings, 1), (checked, 1))]
-        return _joined(machine, shape, followed_balls(legs, *flat))
-    state = _joined(machine, checked.shape[:-1], physical_balls(legs, checked.reshape(-1, 6)))
+    read = read_readings(machine, readings)
+    legs = machine.legs
+    if near is None:
+        shape, balls = read.shape[:-1], physical_balls(legs, read.reshape(-1, read.shape[-1]))
+    else:
+        _check_near(machine, near)
+        shape = broadcastable("near", near.shape, "readings", read.shape[:-1])
+        parts = (near.balls_of_stages, 3), (near.readings, 1), (read, 1)
+        balls = followed_balls(legs, *(flat_batch(array, shape, inner) for array, inner in parts))
+    state = _joined(machine, shape, balls, read)
     if not state.shape and not state.exists:
-        reason = "with these readings no configuration is reached from the home without a forward singularity"
-        state.missing_reason = f"{reason}. {unit_hint(machine, checked)}".rstrip(". ")
+        origin = "the home" if near is None else "`near` in a straight line"
+        reason = f"with these readings no configuration is reached from {origin} without a forward singularity"
+        state.missing_reason = f"{reason}. {unit_hint(machine, read) if near is None else ''}".rstrip(". ")
     return state
 
 
@@ -181,7 +206,8 @@ def states_of_stages(machine: Manipulator, readings: FloatArray) -> tuple[Config
     first, second = map(len, halves)
     pairs = np.arange(max(first, second) if first and second else 0)
     joined = np.stack([half[pairs % max(len(half), 1)] for half in halves], axis=1)
-    return _joined(machine, pairs.shape, joined), (first, second)
+    state: Configuration = _joined(machine, pairs.shape, joined)
+    return state, (first, second)
 
 
 def starting_configuration(machine: Manipulator) -> Configuration:
@@ -196,25 +222,23 @@ def starting_configuration(machine: Manipulator) -> Configuration:
     raise ArgumentError("machine", "a manipulator that stands near its home", machine, "Give a pose instead")
 
 
-def _check_near(machine: Manipulator, lengths: FloatArray, near: Configuration) -> None:
-    """Raise an ArgumentError if `near` is not a closed state of this machine whose shape fits lengths (..., 6)."""
-    check_configuration(near, "near", existing=True)
+def _check_near(machine: Machine, near: Any) -> None:
+    """Raise an ArgumentError if `near` is not a closed state of this machine."""
+    check_state(near, "near", existing=True)
     check_same_machine(near.machine, machine, "near", "`machine`")
-    broadcastable("near", near.shape, "readings", lengths.shape[:-1])
     residual = float(near.closure_residual.max(initial=0.0))
-    if residual > _OPEN * machine.middle_side:
+    if not residual <= _OPEN * machine.ball_side:
         raise ArgumentError("near", "a configuration that closes", f"a closure residual of {residual:.1e} m")
 
 
-def _nominal_stages(machine: Manipulator) -> tuple[NominalStage, NominalStage]:
+def _nominal_stages(machine: Machine) -> list[NominalStage]:
     """Return the nominal stages. Modes of other legs than RPS have no nominal labels, and take the first that fit."""
-    legs, is_rps, (r, base, platform) = machine.nominal.legs, machine.legs.are_rps, radii(machine)
-    whole = np.stack([legs.axes, legs.pivots, legs.balls])
-    is_nominal_rps = machine.is_nominal and is_rps
-    lower, upper = (whole[:, half] for half in (slice(3), slice(3, 6)))
-    return NominalStage(lower, is_rps, is_nominal_rps, r, base), NominalStage(
-        upper, is_rps, is_nominal_rps, r, platform
-    )
+    legs, is_rps = machine.nominal.legs, machine.legs.are_rps
+    stages = zip(np.stack(legs.arrays[:3]).reshape(3, -1, 3, 3).swapaxes(0, 1), machine.stage_radii, strict=True)
+    return [
+        NominalStage(own, is_rps, machine.is_nominal and is_rps, ball_radius, radius)
+        for own, (radius, ball_radius) in stages
+    ]
 
 
 def _continuous_families(below: Modes, above: Modes) -> IntArray:
@@ -225,13 +249,21 @@ def _continuous_families(below: Modes, above: Modes) -> IntArray:
     return np.asarray((free * (exists[0][:, :, None] & exists[1][:, None])).reshape(-1, 4))
 
 
-def _of_stages(readings: FloatArray) -> tuple[FloatArray, FloatArray]:
-    return readings[:, :3], readings[:, 3:]
+def _joined(machine: Machine, shape: tuple[int, ...], balls: FloatArray, readings: npt.ArrayLike = np.nan) -> Any:
+    """Return the states (...) with the balls (N, m, 3, 3) of all stages, in the frames of their bases.
 
+    The readings (..., legs) of a stage broadcast with them; those of a manipulator follow from the balls.
+    """
+    from spm_pin.kinematics.kernels.ball_circles import join_stages, platform_frames
 
-def _joined(machine: Manipulator, shape: tuple[int, ...], balls: FloatArray) -> Configuration:
-    """Return the configurations (...) of the balls of both stages (N, 2, 3, 3), in {B} and in {m}."""
-    from spm_pin.kinematics.kernels.ball_circles import join_stages
-
-    states = run_kernel(join_stages, (balls,), (machine.legs.balls,), _STATE, _MIN_BATCH_PER_THREAD_PHYSICAL)
-    return Configuration.from_arrays(machine, *with_batch_shape(states, shape))
+    rotation, place = ((3, 3), np.float64), ((3,), np.float64)
+    kernel, results = join_stages, [rotation, place, rotation]
+    is_stage = len(machine.legs.stages) == 1
+    if is_stage:
+        kernel, results, balls = platform_frames, results[:2], balls.reshape(-1, 3, 3)
+    solved = run_kernel(kernel, [balls], [machine.legs.balls], results, _MIN_BATCH_PER_THREAD_PHYSICAL)
+    arrays = with_batch_shape(solved, shape)
+    if not is_stage:
+        return Configuration.from_arrays(machine, *arrays)
+    states = StageConfiguration.from_arrays(machine, *arrays, np.array(np.broadcast_to(readings, (*shape, 3))))
+    return states if states.exists.all() else states.where(states.exists)

@@ -33,8 +33,7 @@ from spm_pin.machine.branch_of_state import BRANCHES
 from spm_pin.machine.configuration import Configuration
 from spm_pin.machine.legs import LEGS
 from spm_pin.machine.manipulator import Manipulator, check_manipulator
-from spm_pin.machine.solution_axis import Status
-from spm_pin.machine.solutions import Degeneracy, SolutionSet
+from spm_pin.machine.solutions import Degeneracy, SolutionSet, Status
 from spm_pin.support.arguments import FloatArray, IntArray, as_bool, check_instance, whole_number
 from spm_pin.support.pose import PoseLike
 

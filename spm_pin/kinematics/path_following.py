@@ -19,10 +19,9 @@ from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.kinematics.singularity_analysis import determinants
 from spm_pin.kinematics.tracking import CertifiedLimits, EventKind, FollowedPath, Solver, Watch, followed
 from spm_pin.machine.batched import Batched
-from spm_pin.machine.branch_of_state import physical
-from spm_pin.machine.configuration import Configuration, check_configuration
+from spm_pin.machine.configuration import Configuration
 from spm_pin.machine.manipulator import Manipulator, check_manipulator
-from spm_pin.support.arguments import FloatArray, as_array, real_array, type_and_value, whole_number
+from spm_pin.support.arguments import FloatArray, as_array, real_array, type_and_value
 from spm_pin.support.pose import as_rigid_transform, pose
 
 
@@ -61,11 +60,8 @@ def follow(
         With its events, each at its parameter to 1e-9.
     """
     check_manipulator(machine)
-    samples = whole_number(samples, "samples", least=1, most=10**9)
     if certificate is not None and not hasattr(certificate, "covers"):
         raise ArgumentError("certificate", "a Certificate", type(certificate).__name__)
-    if start is not None and not isinstance(start, str):
-        check_configuration(start, "start", single=True, existing=True)
     solve, knots, has_legs = _solver(machine, path)
     # Numbers of modes are names only where legs are not RPS.
     watch = watch_of(machine)._replace(has_labels=not has_legs or machine.legs.are_rps)
@@ -103,7 +99,7 @@ def existing_share(
 def last_on_line(start: Configuration, readings: FloatArray) -> tuple[Configuration, float]:
     """Return the last configuration in the mode of `start` on the line to readings (6,), and its share of the line."""
     machine, first = start.machine, start.readings
-    if not physical(start):
+    if not start.is_at_home:
         path = follow(machine, np.stack([first, readings]), start, samples=4)
         return path.configurations[-1], float(path.parameters[-1])
     share = float(existing_share(partial(forward_physical, machine), first, readings[None])[0])

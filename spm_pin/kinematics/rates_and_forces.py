@@ -53,7 +53,8 @@ def inverse_jacobian(configuration: State) -> FloatArray:
         velocity of m [rad/s], both in {B}; for a stage its motion (v_z, ω_x, ω_y).
         Singular, but right, at a forward singularity. A single state raises `SingularConfigurationError`, and a member
         of a batch is NaN, at an inverse or a constraint singularity, where a twist has no leg rates or no unique ones;
-        and, as "forward", where a leg has no length, hence no direction.
+        as "forward", where a leg has no length, hence no direction; and as "leg", where an actuator does not move its
+        ball.
     """
     if isinstance(configuration, StageConfiguration):
         return stage_rates.inverse_jacobian(configuration)
@@ -97,10 +98,9 @@ def leg_rates(configuration: State, twist: npt.ArrayLike) -> FloatArray:
         Rates of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m/s] ([rad/s] for RRS legs); at singularities as
         `inverse_jacobian`.
     """
-    check_state(configuration)
-    of_stage = isinstance(configuration, StageConfiguration)
-    meaning = f"{'(v_z, ω_x, ω_y)' if of_stage else '(v, ω)'} at o in {{B}} in m/s and rad/s"
-    value = _broadcast_argument(twist, "twist", meaning, configuration, 3 if of_stage else 6)
+    count = len(check_state(configuration).machine.legs.names)
+    meaning = f"{'(v, ω)' if count == 6 else '(v_z, ω_x, ω_y)'} at o in {{B}} in m/s and rad/s"
+    value = _broadcast_argument(twist, "twist", meaning, configuration, count)
     return np.asarray((inverse_jacobian(configuration) @ value[..., None])[..., 0])
 
 
@@ -148,16 +148,7 @@ def _matrices(configuration: Configuration, kernel: Callable[..., object], kind:
         return matrices
     if kind == "forward":
         return matrices * configuration.slopes[..., None, :]
-    return matrices / _regular_slopes(configuration)[..., None]
-
-
-def _regular_slopes(configuration: Configuration) -> FloatArray:
-    """Return κ of the legs (..., 6), NaN if a leg is singular; a single singular state raises an error."""
-    slopes = configuration.slopes
-    singular = np.abs(slopes) <= SINGULAR * configuration.machine.legs.largest_slopes
-    if singular.any() and not configuration.shape:
-        raise SingularConfigurationError("leg", float(np.abs(slopes).min()))
-    return np.where(singular, np.nan, slopes)
+    return matrices / stage_rates.regular_slopes(configuration)[..., None]
 
 
 def _without_hold(configuration: Configuration) -> BoolArray:

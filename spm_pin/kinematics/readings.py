@@ -9,17 +9,23 @@ import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
 from spm_pin.formulas.planar_legs import MOST_TURNED
-from spm_pin.machine.legs import Legs
+from spm_pin.machine.machine import Machine, check_machine, likely_unit
 from spm_pin.support.arguments import LARGEST_RATIO, FloatArray, first_offender, real_array
 
 
-def read_readings(legs: Legs, size: float, readings: npt.ArrayLike) -> FloatArray:
-    """Read readings (..., n) of these legs, none so large that rounding hides a machine of this size [m]."""
+def read_readings(machine: Machine, readings: npt.ArrayLike) -> FloatArray:
+    """Read readings (..., n) of a machine, none so large that rounding hides the machine.
+
+    Lengths of a stage are in proportion to it, as cylinders have a state with lengths in another unit too.
+    """
+    legs, size = check_machine(machine).legs, machine.size
     meaning = f"in {legs.unit_text()}"
     read = real_array(readings, "readings", (len(legs.names),), f"{', '.join(legs.names)} {meaning}")
     own, farthest = np.asarray(read - legs.offsets), _farthest(legs.units, size)
     short, is_far = own <= legs.least_readings, np.abs(own) > farthest
     if not np.count_nonzero(short | is_far):
+        if len(legs.stages) == 1 and legs.units[0] == "m":
+            check_unit(machine, own, "readings", "lengths")
         return read
     if short.any():
         index = first_offender(short)
@@ -43,3 +49,11 @@ def read_readings(legs: Legs, size: float, readings: npt.ArrayLike) -> FloatArra
 def _farthest(units: tuple[str, ...], size: float) -> FloatArray:
     """Return the largest accepted readings of legs with these units in a machine of this size [m]."""
     return np.where([unit == "m" for unit in units], LARGEST_RATIO * size, MOST_TURNED)
+
+
+def check_unit(stage: Machine, lengths: FloatArray, argument: str, meaning: str) -> None:
+    """Raise `ArgumentError` for lengths in another unit than metres, out of proportion to a stage."""
+    longest = float(np.abs(lengths).max(initial=0.0))
+    if unit := likely_unit(stage, longest):
+        expected = f"{meaning} in metres, in proportion to a stage about {stage.size:.3g} m high"
+        raise ArgumentError(argument, expected, f"{longest:g}", f"Is it {longest:g} {unit}?")

@@ -33,7 +33,6 @@ from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, real_number, shaped_array
 
 _MIN_BATCH_PER_THREAD = 1 << 11
-_MATRICES = ("J_b", "J_c", "K")
 _STEP = 1e-100
 """Imaginary step of derivatives, in metres of leg length: its square is negligible relative to one."""
 

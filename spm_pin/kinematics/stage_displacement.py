@@ -1,4 +1,4 @@
-"""Displacements of a stage: pose and readings for a tilt and a height in closed form, and all modes for readings."""
+"""Inverse displacement of a stage: pose and readings for a tilt and a height, in closed form."""
 
 from __future__ import annotations
 
@@ -11,17 +11,12 @@ import numpy.typing as npt
 from spm_pin.errors import ArgumentError
 from spm_pin.formulas.planar_legs import MOST_TURNED, RRS_LEGS
 from spm_pin.formulas.stage_poses import LEAST_RISE
-from spm_pin.kinematics.batches import flat_batch, run_kernel, with_batch_shape
-from spm_pin.kinematics.readings import read_readings
-from spm_pin.kinematics.stage_balls import STAGE_MODES, NominalStage, all_modes, followed_balls, physical_balls
-from spm_pin.machine.leg_kinds import RPS
-from spm_pin.machine.legs import PlacedLegs
-from spm_pin.machine.machine import likely_unit
-from spm_pin.machine.solution_axis import Status
+from spm_pin.kinematics.batches import run_kernel, with_batch_shape
+from spm_pin.kinematics.readings import check_unit
+from spm_pin.machine.solutions import StageSolutions, Status
 from spm_pin.machine.stage import Stage
-from spm_pin.machine.stage_configuration import BELOW, OPERATION_MODES, StageConfiguration, StageSolutions
+from spm_pin.machine.stage_configuration import BELOW, OPERATION_MODES, StageConfiguration
 from spm_pin.support.arguments import (
-    BoolArray,
     FloatArray,
     broadcastable,
     check_instance,
@@ -31,8 +26,6 @@ from spm_pin.support.arguments import (
 from spm_pin.support.pose import PoseLike, as_rigid_transform
 
 _MIN_BATCH_PER_THREAD = 1 << 14
-_UNIT = 1e-6
-"""Largest difference of a normal's length from 1 that counts as rounding."""
 _STEEP = 0.9
 """Cosine of a tilt, 26°, beyond which an error names the tilt in degrees: it may be in another unit."""
 
@@ -146,98 +139,6 @@ def physical_at_poses(stage: Stage, pose: PoseLike) -> StageConfiguration:
     return inverse_physical(stage, matrices[..., 2, 3], normal=matrices[..., :3, 2])
 
 
-def forward(stage: Stage, readings: npt.ArrayLike) -> StageSolutions:
-    """Find all states for three readings: the assembly modes.
-
-    Parameters
-    ----------
-    stage : Stage
-        The stage. Its limits are not applied.
-    readings : array_like, shape (..., 3)
-        Readings of the encoders: [m], for RRS legs [rad].
-
-    Returns
-    -------
-    StageSolutions
-        The assembly modes of `STAGE_MODES` along the last axis, `.rotation` (..., 16, 3, 3), NaN where a mode is not
-        real or a leg is in another working mode. `.status` (...) is `Status.OK`; `UNREACHABLE` if none is real;
-        `DEGENERATE` if a stage with nominal RPS legs moves with its legs locked, that family omitted; or
-        `UNSOLVED`, all missing, if fewer than sixteen distinct modes were found, complex ones counted.
-
-    Notes
-    -----
-    T and F name modes as in `spm_pin.forward_displacement`, + is the side of the base on which the platform is. For
-    legs that are not RPS, and for a calibrated machine, numbers are arbitrary.
-
-    Examples
-    --------
-    >>> import spm_pin as spm
-    >>> tripod = spm.Stage(base_radius=0.7, platform_radius=0.46)
-    >>> spm.forward_displacement(tripod, [1.2, 1.2, 1.4])
-    <StageSolutions: ok, 12 of 16 real: T1+, T1-, T2+, T2-, T3+, T3-, T4+, T4-, …>
-    """
-    read = read_stage_readings(stage, readings)
-    shape, flat, n = read.shape[:-1], read.reshape(-1, 3), len(STAGE_MODES)
-    is_rps, drawn = isinstance(stage.kind, RPS), np.stack(stage.nominal.legs.arrays[:3])
-    drawing = NominalStage(drawn, is_rps, is_rps and stage.is_nominal, stage.platform_radius, stage.base_radius)
-    balls, _, continuous, status = all_modes(_half(stage), flat, drawing)
-    modes = _of_balls(stage, (*shape, n), balls, read[..., None, :])
-    status = status.reshape(shape)
-    status[continuous.any(axis=-1).reshape(shape) & (status == Status.OK)] = Status.DEGENERATE
-    status[(status == Status.OK) & ~modes.exists.any(axis=-1)] = Status.UNREACHABLE
-    return StageSolutions(modes, STAGE_MODES, status)
-
-
-def forward_physical(
-    stage: Stage, readings: npt.ArrayLike, near: StageConfiguration | None = None
-) -> StageConfiguration:
-    """Compute the physical state with these readings, in which an assembled machine is.
-
-    Parameters
-    ----------
-    stage : Stage
-        The stage. Its limits are not applied.
-    readings : array_like, shape (..., 3)
-        Readings of the encoders: [m], for RRS legs [rad].
-    near : StageConfiguration, optional
-        A state of the machine before. Its leading axes broadcast with those of `readings`.
-
-    Returns
-    -------
-    StageConfiguration
-        Of shape (...). Without `near` the state in the home assembly region: without torsion, reached from the level
-        platform without a forward singularity. With `near` the end of the path on which its readings change to the
-        given ones in a straight line, whatever its mode, in steps that provably stay on it. `.exists` is False, and
-        everything NaN, if it is missing, or if that path meets a forward singularity.
-
-    Notes
-    -----
-    A stage with nominal RPS legs has at most one state in the home assembly region, `docs/theory/uniqueness.md`; one
-    with PRS legs, or RRS legs with ``sign=+1``, may have two, of which Newton's method from the level platform finds
-    one: give `near`.
-
-    Examples
-    --------
-    >>> import spm_pin as spm
-    >>> balancer = spm.Stage(base_radius=0.08, platform_radius=0.09, legs=spm.RRS(crank=0.05, rod=0.11))
-    >>> spm.forward_physical(balancer, [0.2, 0.4, 0.6])
-    <StageConfiguration: tilt 7.75° towards -1.8°, height 0.1232 m, readings 0.2000, 0.4000, 0.6000 rad>
-    """
-    read = read_stage_readings(stage, readings)
-    if near is None:
-        shape, balls = read.shape[:-1], physical_balls(stage.legs, read.reshape(-1, 3))
-    else:
-        _check_near(stage, near)
-        shape = broadcastable("near", near.shape, "readings", read.shape[:-1])
-        balls, *ends = [flat_batch(x, shape, inner) for x, inner in ((near.balls, 2), (near.readings, 1), (read, 1))]
-        balls = followed_balls(stage.legs, balls[:, None], *ends)
-    state = _of_balls(stage, shape, balls, read)
-    if not shape and not state.exists:
-        origin = "the level platform" if near is None else "`near` in a straight line"
-        state.missing_reason = f"with these readings no state is reached from {origin} without a forward singularity"
-    return state
-
-
 def poses(stage: Stage, normals: FloatArray, heights: FloatArray, modes: int) -> tuple[Any, ...]:
     """Return R (N, modes, 3, 3), t, readings (N, modes, 3) and a mask of physical states, for T, and for F if two."""
     from spm_pin.kinematics.kernels.one_stage import poses_of_stages
@@ -268,21 +169,6 @@ def poses(stage: Stage, normals: FloatArray, heights: FloatArray, modes: int) ->
     return rotation, translation, readings, physical
 
 
-def _half(stage: Stage) -> PlacedLegs:
-    return stage.legs.stages[0]
-
-
-def _of_balls(stage: Stage, shape: tuple[int, ...], balls: FloatArray, readings: FloatArray) -> StageConfiguration:
-    """Return the states of this shape with balls, NaN if missing, and readings that broadcast."""
-    from spm_pin.kinematics.kernels.ball_circles import platform_frames
-
-    results = ((3, 3), np.float64), ((3,), np.float64)
-    frames = run_kernel(platform_frames, [balls.reshape(-1, 3, 3)], [stage.legs.balls], results, _MIN_BATCH_PER_THREAD)
-    rotation, translation = with_batch_shape(frames, shape)
-    states = StageConfiguration.from_arrays(stage, rotation, translation, np.broadcast_to(readings, (*shape, 3)).copy())
-    return states if states.exists.all() else states.where(states.exists)
-
-
 def _read_request(
     stage: Stage, height: npt.ArrayLike, normals: FloatArray
 ) -> tuple[tuple[int, ...], FloatArray, FloatArray]:
@@ -296,7 +182,7 @@ def _read_request(
 def read_heights(stage: Stage, height: npt.ArrayLike, argument: str = "height") -> FloatArray:
     """Read heights (...) in proportion to this stage."""
     heights = real_array(height, argument, (), "of the platform's origin above the pivots, in metres")
-    _check_unit(stage, heights, argument, "heights")
+    check_unit(stage, heights, argument, "heights")
     return heights
 
 
@@ -366,38 +252,6 @@ def _read_normal(normal: npt.ArrayLike) -> FloatArray:
     units: FloatArray = normals / size
     units /= np.linalg.norm(units, axis=-1, keepdims=True)
     return units
-
-
-def read_stage_readings(stage: Stage, readings: npt.ArrayLike) -> FloatArray:
-    """Check readings (..., 3) of the encoders of this stage."""
-    read = read_readings(check_instance(stage, Stage, "stage").legs, stage.size, readings)
-    if stage.unit == "m":
-        _check_unit(stage, read - stage.legs.offsets, "readings", "lengths")
-    return read
-
-
-def _check_unit(stage: Stage, lengths: FloatArray, argument: str, meaning: str) -> None:
-    """Raise `ArgumentError` for lengths in another unit, with which cylinders would also have a state."""
-    longest = float(np.abs(lengths).max(initial=0.0))
-    if unit := likely_unit(stage, longest):
-        expected = f"{meaning} in metres, in proportion to a stage about {stage.size:.3g} m high"
-        raise ArgumentError(argument, expected, f"{longest:g}", f"Is it {longest:g} {unit}?")
-
-
-def _check_near(stage: Stage, near: Any) -> None:
-    cause = "Choose one of its solutions: .physical()" * hasattr(type(near), "physical")
-    check_instance(near, StageConfiguration, "near", cause)
-    if near.stage.legs != stage.legs:
-        raise ArgumentError("near", f"a state of this stage, {stage!r}", repr(near.stage), "Is it of another one?")
-    exists: BoolArray = near.exists & np.isfinite(near.readings).all(axis=-1)
-    if not exists.all():
-        cause = near.missing_reason or "It is a branch without a real solution; see .status and .exists"
-        raise ArgumentError("near", "a state that exists", f"no state (NaN) at index {first_offender(~exists)}", cause)
-    residual = float(near.closure_residual.max(initial=0.0))
-    if residual > _UNIT * stage.platform_radius:
-        raise ArgumentError(
-            "near", "a state whose balls are in the planes of their legs", f"a ball {residual:.1e} m off its plane"
-        )
 
 
 def _why_unreachable(

@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import numpy.typing as npt
 import scipy
 
 from spm_pin.errors import ArgumentError
-from spm_pin.kinematics.stage_displacement import (
-    forward,
-    inverse,
-    normals_of_request,
-    read_heights,
-    read_stage_readings,
-)
+from spm_pin.kinematics.forward_displacement import forward_displacement
+from spm_pin.kinematics.readings import read_readings
+from spm_pin.kinematics.stage_displacement import inverse, normals_of_request, read_heights
 from spm_pin.kinematics.stage_rates import determinants
 from spm_pin.kinematics.tracking import EventKind, FollowedPath, Watch, followed
+from spm_pin.machine.solutions import StageSolutions
 from spm_pin.machine.stage import Stage
-from spm_pin.machine.stage_configuration import StageConfiguration, StageSolutions
-from spm_pin.support.arguments import broadcastable, check_instance, whole_number
+from spm_pin.machine.stage_configuration import StageConfiguration
+from spm_pin.support.arguments import broadcastable, check_instance
 
 _KINDS = (
     (EventKind.FORWARD_SINGULARITY, "the actuators do not hold the platform"),
@@ -71,16 +66,11 @@ def follow(
     <FollowedPath: complete, 214 states of T; leg limit at 0.8901>
     """
     check_instance(stage, Stage, "stage")
-    count = whole_number(samples, "samples", least=1, most=10**9)
-    if start is not None and not isinstance(start, str):
-        check_instance(start, StageConfiguration, "start")
-        if start.shape or not start.exists:
-            raise ArgumentError("start", "a single state that exists, or a label", start)
     if (readings is None) == (height is None):
         expected = "readings of a path, or its heights with tilts"
         raise ArgumentError("readings", expected, "neither" if readings is None else "both")
     if readings is not None:
-        points = read_stage_readings(stage, readings)
+        points = read_readings(stage, readings)
     else:
         assert height is not None
         heights, normals = read_heights(stage, height), normals_of_request(tilt, azimuth, roll, pitch, normal)
@@ -94,10 +84,10 @@ def follow(
     def solve(parameter: float) -> StageSolutions:
         here = point(parameter)
         if height is None:
-            return forward(stage, here)
+            return forward_displacement(stage, here)
         return inverse(stage, here[3], normal=here[:3] / np.linalg.norm(here[:3]))
 
     # Only nominal stages with RPS legs have labels for the modes of readings.
     has_labels = height is not None or (stage.is_nominal and stage.legs.are_rps)
-    watch = Watch(math.sqrt(3.0) * stage.platform_radius, determinants, _KINDS, has_labels)
-    return followed(watch, solve, knots, start, count, has_legs=height is None)
+    watch = Watch(stage.ball_side, determinants, _KINDS, has_labels)
+    return followed(watch, solve, knots, start, samples, has_legs=height is None)

@@ -17,7 +17,7 @@ from spm_pin.errors import SingularConfigurationError
 from spm_pin.formulas import stage_poses, wrenches
 from spm_pin.formulas.operations import on_arrays, rows_of, vector_of
 from spm_pin.kinematics.singularity_kinds import SINGULAR, SingularityKind, kinds_text
-from spm_pin.machine.batched import masked
+from spm_pin.machine.batched import Batched, masked
 from spm_pin.machine.configuration import check_members
 from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.support.arguments import FloatArray, broadcastable, check_instance, real_array
@@ -79,15 +79,7 @@ class StageSingularities:
 
 
 def platform_jacobian(configuration: StageConfiguration) -> FloatArray:
-    """Return the twist of the platform in states (...) per unit rate of each reading, its parasitic motion included.
-
-    Returns
-    -------
-    ndarray, shape (..., 6, 3)
-        Rows (v, ω) of the platform at its origin, in {B} [m/s, rad/s]; columns the legs. Its rows `MOTION` are the
-        3 x 3 matrix of tilt and height. At a forward singularity, where the platform can move with locked legs, a
-        single state raises `SingularConfigurationError`, and a member of a batch is NaN.
-    """
+    """Return the map (..., 6, 3) from rates of readings to the twist; see `rates_and_forces.platform_jacobian`."""
     return _columns(configuration, along_legs=True) * configuration.slopes[..., None, :]
 
 
@@ -123,21 +115,19 @@ def parasitic_jacobian(configuration: StageConfiguration) -> FloatArray:
 
 
 def inverse_jacobian(configuration: StageConfiguration) -> FloatArray:
-    """Return the rates of the readings in states (...) for the platform's motion.
-
-    Returns
-    -------
-    ndarray, shape (..., 3, 3)
-        Rows are legs, [m/s], for RRS legs [rad/s]; columns the motion v_z [m/s], ω_x and ω_y [rad/s]. At an inverse
-        singularity as `parasitic_jacobian`; the same, as "leg", if an actuator does not move its ball.
-    """
+    """Return the map (..., 3, 3) from the motion to rates of readings; see `rates_and_forces.inverse_jacobian`."""
     twists = parasitic_jacobian(configuration)
-    slopes, largest = configuration.slopes, configuration.stage.legs.largest_slopes
-    stuck = np.abs(slopes) <= SINGULAR * largest
-    if stuck.any() and not configuration.shape:
-        raise SingularConfigurationError("leg", float(np.abs(slopes).min()))
     forces = _forces(configuration)[..., :3, :]
-    return np.asarray(forces @ twists / np.where(stuck, np.nan, slopes)[..., None])
+    return np.asarray(forces @ twists / regular_slopes(configuration)[..., None])
+
+
+def regular_slopes(state: Batched) -> FloatArray:
+    """Return κ of the legs (..., legs), NaN if a leg is singular; a single singular state raises an error."""
+    slopes = state.slopes
+    singular = np.abs(slopes) <= SINGULAR * state.machine.legs.largest_slopes
+    if singular.any() and not state.shape:
+        raise SingularConfigurationError("leg", float(np.abs(slopes).min()))
+    return np.where(singular, np.nan, slopes)
 
 
 def joint_loads(configuration: StageConfiguration, wrench: npt.ArrayLike) -> JointLoads:

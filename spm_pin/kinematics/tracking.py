@@ -17,9 +17,10 @@ import scipy
 
 from spm_pin.errors import ArgumentError
 from spm_pin.machine.batched import Batched, stacked
+from spm_pin.machine.configuration import check_members
 from spm_pin.machine.machine import Machine
-from spm_pin.machine.solution_axis import Solutions
-from spm_pin.support.arguments import BoolArray, FloatArray
+from spm_pin.machine.solutions import Solutions
+from spm_pin.support.arguments import BoolArray, FloatArray, check_instance, whole_number
 
 S = TypeVar("S", bound=Batched)
 Solver = Callable[[float], Solutions[S]]
@@ -123,9 +124,9 @@ def followed(
     has_legs: bool,
 ) -> FollowedPath[S]:
     """Follow the solution that `start` names, or the nearest to it; `solve` returns all at a parameter."""
-    solutions = solve(0.0)
+    count, solutions = whole_number(samples, "samples", least=1, most=10**9), solve(0.0)
     tracker = Tracker(watch, solve, solutions, _start(solutions, start), has_legs=has_legs)
-    stops = np.unique(np.concatenate([np.linspace(0.0, 1.0, samples + 1), knots]))
+    stops = np.unique(np.concatenate([np.linspace(0.0, 1.0, count + 1), knots]))
     for stop in stops[1:]:
         if not tracker.advance(float(stop)):
             break
@@ -143,6 +144,9 @@ def _start(solutions: Solutions[S], start: S | str | None) -> int:
             received = f"{start!r}, while real are {', '.join(real[:8]) or 'none'}{' …' * (len(real) > 8)}"
             raise ArgumentError("start", "the label of a solution that is real where the path begins", received)
         return solutions.labels.index(start)
+    if start is not None:
+        check_instance(start, type(solutions.configurations), "start")
+        check_members(start, "start", single=True, existing=True)
     chosen = solutions.physical() if start is None else solutions.nearest(start)
     if not chosen.exists:
         reason = f"{chosen.missing_reason}. A solution that is not physical is named by its label"

@@ -12,10 +12,9 @@ from spm_pin.machine.leg_kinds import PRS, RPS, RRS, LegKind
 from spm_pin.machine.legs import LEGS, STAGE_LEGS, LegLimits, Legs, PlacedLegs, StageLimits
 from spm_pin.machine.machine import Machine
 from spm_pin.machine.manipulator import PARAMETERS, Manipulator
-from spm_pin.machine.solution_axis import Status
-from spm_pin.machine.solutions import Degeneracy, SolutionSet
+from spm_pin.machine.solutions import Degeneracy, SolutionSet, StageSolutions, Status
 from spm_pin.machine.stage import Stage
-from spm_pin.machine.stage_configuration import OPERATION_MODES, StageConfiguration, StageSolutions
+from spm_pin.machine.stage_configuration import OPERATION_MODES, StageConfiguration
 from spm_pin.support.pose import PoseLike, as_rigid_transform, pose
 
 __all__ = [

@@ -5,15 +5,15 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
-from typing import Any, ClassVar, Self, TypeVar
+from typing import Any, ClassVar, Self, TypeVar, cast
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from spm_pin.errors import ArgumentError, SelectionError
-from spm_pin.machine.legs import LegLimits
+from spm_pin.machine.legs import LegLimits, triangle_sides
 from spm_pin.machine.machine import Machine
-from spm_pin.support.arguments import BoolArray, FloatArray, frozen, type_and_value
+from spm_pin.support.arguments import BoolArray, FloatArray, check_instance, frozen, type_and_value
 from spm_pin.support.pose import unchecked_transform
 
 S = TypeVar("S", bound="Batched")
@@ -28,26 +28,42 @@ class Batched(ABC):
     _solved: ClassVar[str]
     """Name of the property, one number for each leg, which a solver may have computed already."""
 
+    _inner: ClassVar[tuple[int, ...]] = (2, 1)
+    """Axes per member of the arrays: rotation and translation of the platform; then, of a manipulator, the joints."""
+
     def _set(self, machine: Machine, *arrays: FloatArray) -> None:
-        """Store rotations and translations of the platform, and for a manipulator the middle joints."""
+        """Store the machine and the arrays of `_inner`."""
         self._machine = machine
         self._arrays = tuple(map(frozen, arrays))
         self._rotation, self._translation = self._arrays[:2]
+
+    @classmethod
+    def from_arrays(cls, machine: Machine, *arrays: FloatArray | None) -> Self:
+        """Make a state from valid arrays with equal leading axes, without checks or copies.
+
+        They are the rotations (..., 3, 3) and the translations (..., 3) of the platform, for a manipulator the middle
+        joints (..., 3, 3), and what a solver may have computed already: leg lengths (..., 6), for a stage its readings.
+        """
+        self = cls.__new__(cls)
+        count = len(cls._inner)
+        self._set(machine, *cast("tuple[FloatArray, ...]", arrays[:count]))
+        if len(arrays) > count and arrays[count] is not None:
+            self.__dict__[cls._solved] = frozen(cast("FloatArray", arrays[count]))
+        return self
 
     @property
     def _known(self) -> FloatArray | None:
         """The value of the property named by `_solved`, if it has been computed already."""
         return self.__dict__.get(self._solved)
 
-    @classmethod
-    @abstractmethod
-    def from_arrays(cls, *arrays: Any) -> Self:
-        """Make a state of a machine from arrays as for `_set`, and the value of the property `_solved`, or None."""
+    def with_machine(self, machine: Machine) -> Self:
+        """Return the same states of another machine, which has the same dimensions but perhaps other limits."""
+        return self.from_arrays(check_instance(machine, type(self._machine), "machine"), *self._arrays)
 
     def transformed(self, change: Callable[[FloatArray, int], FloatArray]) -> Self:
         """Return the states with each array replaced by `change(array, number of inner axes)`."""
         solved = self._known
-        arrays = (change(array, inner) for array, inner in zip(self._arrays, (2, 1, 2), strict=False))
+        arrays = (change(array, inner) for array, inner in zip(self._arrays, self._inner, strict=True))
         return self.from_arrays(self._machine, *arrays, None if solved is None else change(solved, 1))
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -61,9 +77,9 @@ class Batched(ABC):
         return self._machine
 
     @property
-    @abstractmethod
     def shape(self) -> tuple[int, ...]:
         """Batch shape."""
+        return self._translation.shape[:-1]
 
     @property
     @abstractmethod
@@ -72,48 +88,120 @@ class Batched(ABC):
 
     @property
     @abstractmethod
+    def is_at_home(self) -> BoolArray:
+        """True for physical states: reached from the home without a forward singularity, shape (...)."""
+
+    @property
+    @abstractmethod
+    def tilt_cosine_sum(self) -> FloatArray:
+        """Sum of the cosines of the stages' tilts, shape (...)."""
+
+    @property
+    @abstractmethod
     def balls(self) -> FloatArray:
         """Centres of the legs' balls as rows in {B} [m], shape (..., legs, 3)."""
-
-    @property
-    @abstractmethod
-    def leg_bases(self) -> FloatArray:
-        """Pivots of the legs as rows in {B} [m]."""
-
-    @property
-    @abstractmethod
-    def leg_axes(self) -> FloatArray:
-        """Unit revolute axes of the legs as rows in {B}."""
-
-    @property
-    @abstractmethod
-    def leg_planes(self) -> tuple[FloatArray, FloatArray]:
-        """Axes x and z of the legs' planes as rows in {B}."""
 
     @property
     @abstractmethod
     def middle_pose(self) -> RigidTransform:
         """Pose in {B} of the platform that holds the lower legs' balls."""
 
+    def _in_base(self, rows: FloatArray, *, are_points: bool = False) -> FloatArray:
+        """Return rows in {B} of vectors or points (..., legs, 3) that are in the frames of the legs' plates."""
+        if rows.shape[-2] == 3:
+            return rows
+        upper = rows[..., 3:, :] @ np.swapaxes(self._rotation, -1, -2)
+        if are_points:
+            upper += self._translation[..., None, :]
+        return frozen(np.concatenate([np.broadcast_to(rows[..., :3, :], upper.shape), upper], axis=-2))
+
+    @cached_property
+    def leg_bases(self) -> FloatArray:
+        """Pivots of the legs as rows in {B} [m], (..., 6, 3), Eqs. (1), (2); for a stage (3, 3), the same for all."""
+        return self._in_base(self._machine.legs.pivots, are_points=True)
+
+    @cached_property
+    def leg_axes(self) -> FloatArray:
+        """Unit revolute axes of the legs as rows in {B}, shapes as of `leg_bases`. Eq. (4)."""
+        return self._in_base(self._machine.legs.axes)
+
     @property
-    @abstractmethod
+    def leg_planes(self) -> tuple[FloatArray, FloatArray]:
+        """Unit vectors x, outwards, and z, to the balls, of the legs' planes, in {B}, shapes as of `leg_bases`."""
+        outward, forward = self._machine.legs.planes
+        return self._in_base(outward), self._in_base(forward)
+
+    @property
+    def own_circle_centres(self) -> FloatArray:
+        """`circle_centres` as rows in the frames of the legs' plates, {B} or {m} [m], shape (..., legs, 3)."""
+        centres, _ = self._machine.legs.circles(self.readings)
+        return centres
+
+    @property
+    def balls_of_stages(self) -> FloatArray:
+        """`balls` by stage, in {B}, and of the upper stage in {m} [m], shape (..., stages, 3, 3)."""
+        lower, upper = self.balls[..., :3, :], self.balls[..., 3:, :]
+        if not upper.shape[-2]:
+            return lower[..., None, :, :]
+        return np.stack([lower, (upper - self._translation[..., None, :]) @ self._rotation], axis=-3)
+
+    @cached_property
     def circle_centres(self) -> FloatArray:
-        """Centres of the circles that the locked actuators leave to the balls, as rows in {B} [m]."""
+        """Centres of the circles on which balls move with locked actuators, as rows in {B} [m], (..., legs, 3).
 
-    @property
-    @abstractmethod
+        For RPS legs the `leg_bases`, for PRS legs the joints of carriage and rod, for RRS legs the knees.
+        """
+        if self._machine.legs.are_rps:
+            bases, shape = self.leg_bases, self.balls.shape
+            return bases if bases.shape == shape else np.broadcast_to(bases, shape)
+        return self._in_base(self.own_circle_centres, are_points=True)
+
+    @cached_property
     def leg_vectors(self) -> FloatArray:
-        """Vectors between circle centres and balls, as rows in {B} [m], (..., legs, 3): along them the legs push."""
+        """Vectors from circle centres to lower balls, from upper balls to circle centres, in {B} [m], (..., legs, 3).
 
-    @property
-    @abstractmethod
+        The legs push along these vectors: an RPS leg has its pivot for the centre, other legs have rods.
+        """
+        centres, balls = self.circle_centres, self.balls
+        return frozen(np.concatenate([(balls - centres)[..., :3, :], (centres - balls)[..., 3:, :]], axis=-2))
+
+    @cached_property
+    def leg_lengths(self) -> FloatArray:
+        """Distances of balls and pivots, r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m], shape (..., legs). Eq. (20)."""
+        return frozen(np.sqrt(((self.balls - self.leg_bases) ** 2).sum(axis=-1)))
+
+    @cached_property
     def readings(self) -> FloatArray:
-        """Readings of the legs' encoders, shape (..., legs)."""
+        """Readings of the encoders, (..., legs): [m], for RRS legs [rad]; NaN for a ball out of a leg's reach.
+
+        For RPS legs they are `leg_lengths` plus the offsets of the machine.
+        """
+        legs = self._machine.legs
+        return frozen(
+            self.leg_lengths + legs.offsets if legs.are_rps else legs.readings(self.places, self._machine.crank_middles)
+        )
 
     @property
-    @abstractmethod
     def compared_points(self) -> FloatArray:
-        """Points whose displacements measure the distance between two states, as rows in {B} [m], shape (..., n, 3)."""
+        """Points whose displacements measure the distance between two states, as rows in {B} [m], shape (..., n, 3).
+
+        The balls of a stage; of a manipulator b_i and c_i.
+        """
+        return self.balls
+
+    @cached_property
+    def closure_residual(self) -> FloatArray:
+        """Largest violation of the closure equations [m], shape (...); NaN for a missing member.
+
+        These are distances of balls from the planes of their legs, Eqs. (5b), (5c), and errors of sides, Eq. (12).
+        """
+        balls, legs = self.balls, self._machine.legs
+        # Axes, and distances of the planes from O; the latter are exactly zero in a nominal machine.
+        axes, pivots = legs.axes[:3], legs.pivots[:3]
+        lower = (balls[..., :3, :] * axes).sum(axis=-1) - (pivots * axes).sum(axis=-1)
+        upper = ((balls - self.leg_bases) * self.leg_axes)[..., 3:, :].sum(axis=-1)
+        sides = triangle_sides(balls[..., :3, :]) - legs.sides
+        return frozen(np.asarray(np.abs(np.concatenate([lower, upper, sides], axis=-1)).max(axis=-1)))
 
     @abstractmethod
     def where(self, kept: BoolArray) -> Self:

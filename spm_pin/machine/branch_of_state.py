@@ -7,14 +7,18 @@ of one pose, distinguished by a sign. Derivation: `docs/theory/inverse_displacem
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from spm_pin.formulas import branches, wrenches
 from spm_pin.formulas.operations import on_arrays, rows_of
 from spm_pin.machine.batched import Batched
-from spm_pin.machine.configuration import Configuration
 from spm_pin.support.arguments import BoolArray, FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from spm_pin.machine.configuration import Configuration
 
 FAMILIES = ("TT", "TF", "FT", "FF")
 """The four families of branches: the mode, T or F, of the lower stage and of the upper."""

@@ -12,7 +12,8 @@ from scipy.spatial.transform import RigidTransform
 
 from spm_pin.errors import ArgumentError
 from spm_pin.machine.batched import Batched, masked
-from spm_pin.machine.legs import LEGS, triangle_frames, triangle_sides
+from spm_pin.machine.branch_of_state import physical, tilt_cosine_sum
+from spm_pin.machine.legs import LEGS, triangle_frames
 from spm_pin.machine.machine import ALONE
 from spm_pin.machine.manipulator import Manipulator, check_manipulator
 from spm_pin.support import notebook
@@ -50,6 +51,7 @@ class Configuration(Batched):
 
     _machine: Manipulator
     _solved = "leg_lengths"
+    _inner = (2, 1, 2)
 
     def __init__(self, machine: Manipulator, pose: PoseLike, middle_joints: npt.ArrayLike) -> None:
         check_manipulator(machine)
@@ -69,22 +71,6 @@ class Configuration(Batched):
             np.broadcast_to(matrix[..., :3, 3], (*shape, 3)),
             np.broadcast_to(joints.copy(), (*shape, 3, 3)),
         )
-
-    @classmethod
-    def from_arrays(
-        cls,
-        machine: Manipulator,
-        rotation: FloatArray,
-        translation: FloatArray,
-        middle_joints: FloatArray,
-        leg_lengths: FloatArray | None = None,
-    ) -> Configuration:
-        """Make a configuration from valid arrays with equal leading axes, without checks or copies."""
-        self = cls.__new__(cls)
-        self._set(machine, rotation, translation, middle_joints)
-        if leg_lengths is not None:
-            self.__dict__["leg_lengths"] = frozen(leg_lengths)
-        return self
 
     def _summary(self) -> str:
         readings = (f"{x:.4f} {unit}" for x, unit in zip(self.readings, self.machine.legs.units, strict=True))
@@ -112,11 +98,6 @@ class Configuration(Batched):
         return (f"{x:.4f}, {y:.4f}, {z:.4f}", f"{roll:.2f}, {pitch:.2f}, {yaw:.2f}", *lengths)
 
     @property
-    def shape(self) -> tuple[int, ...]:
-        """Batch shape."""
-        return self.middle_joints.shape[:-2]
-
-    @property
     def machine(self) -> Manipulator:
         """The manipulator."""
         return self._machine
@@ -142,6 +123,19 @@ class Configuration(Batched):
         """False for a member of the batch that does not exist, shape (...)."""
         return ~np.isnan(self.middle_joints[..., 0, 0])
 
+    @property
+    def is_at_home(self) -> BoolArray:
+        """True for physical states, without regard to leg limits, shape (...).
+
+        Without torsion in either stage, and reached from the symmetric home without a forward singularity.
+        """
+        return physical(self)
+
+    @property
+    def tilt_cosine_sum(self) -> FloatArray:
+        """Sum of the cosines of the two stages' tilts, shape (...): 2 for a straight machine."""
+        return tilt_cosine_sum(self)
+
     @cached_property
     def balls(self) -> FloatArray:
         """Centres of the legs' balls as rows in {B} [m], (..., 6, 3); in a nominal machine b_1, b_2, b_3 twice."""
@@ -150,82 +144,15 @@ class Configuration(Batched):
         moved = self.machine.legs.upper_ball_weights @ np.stack([*sides, np.cross(*sides)], axis=-2)
         return frozen(np.concatenate([lower, lower + moved], axis=-2))
 
-    @cached_property
-    def leg_bases(self) -> FloatArray:
-        """Pivots of the six legs, a_1 to a_3 and c_1 to c_3, as rows in {B} [m], shape (..., 6, 3). Eqs. (1), (2)."""
-        pivots = self.machine.legs.pivots
-        upper = pivots[3:] @ np.swapaxes(self._rotation, -1, -2) + self._translation[..., None, :]
-        return frozen(np.concatenate([np.broadcast_to(pivots[:3], upper.shape), upper], axis=-2))
-
     @property
     def platform_joints(self) -> FloatArray:
         """Pivots of the upper legs, c_1, c_2, c_3, as rows in {B} [m], shape (..., 3, 3). Eq. (2)."""
         return self.leg_bases[..., 3:, :]
 
-    @cached_property
-    def leg_axes(self) -> FloatArray:
-        """Unit revolute axes of the six legs as rows in {B}, shape (..., 6, 3). Eq. (4)."""
-        axes = self.machine.legs.axes
-        upper = axes[3:] @ np.swapaxes(self._rotation, -1, -2)
-        return frozen(np.concatenate([np.broadcast_to(axes[:3], upper.shape), upper], axis=-2))
-
     @property
     def platform_axes(self) -> FloatArray:
         """Unit revolute axes at c_1, c_2, c_3 as rows in {B}, shape (..., 3, 3). Eq. (4b)."""
         return self.leg_axes[..., 3:, :]
-
-    @cached_property
-    def leg_vectors(self) -> FloatArray:
-        """Vectors from circle centres to lower balls, and from upper balls to circle centres, in {B} [m], (..., 6, 3).
-
-        The legs push along these vectors: an RPS leg has its pivot for the centre, other legs have rods.
-        """
-        centres, balls = self.circle_centres, self.balls
-        return frozen(np.concatenate([(balls - centres)[..., :3, :], (centres - balls)[..., 3:, :]], axis=-2))
-
-    @property
-    def leg_planes(self) -> tuple[FloatArray, FloatArray]:
-        """The axes x and z of the legs' planes as rows in {B}, (..., 6, 3) each."""
-        back = np.swapaxes(self._rotation, -1, -2)
-        lower = np.broadcast_to(np.eye(3), back.shape)
-        outward, forward = (
-            np.concatenate([axes[:3] @ lower, axes[3:] @ back], axis=-2) for axes in self.machine.legs.planes
-        )
-        return outward, forward
-
-    @property
-    def own_circle_centres(self) -> FloatArray:
-        """`circle_centres` as rows, in {B} for lower legs and in {m} for upper legs [m], shape (..., 6, 3)."""
-        centres, _ = self.machine.legs.circles(self.readings)
-        return centres
-
-    @cached_property
-    def circle_centres(self) -> FloatArray:
-        """Centres of the circles on which balls move with locked actuators, as rows in {B} [m], shape (..., 6, 3).
-
-        For RPS legs the `leg_bases`, for PRS legs the joints of carriage and rod, for RRS legs the knees.
-        """
-        if self.machine.legs.are_rps:
-            return self.leg_bases
-        centres = self.own_circle_centres
-        upper = centres[..., 3:, :] @ np.swapaxes(self._rotation, -1, -2) + self._translation[..., None, :]
-        return frozen(np.concatenate([centres[..., :3, :], upper], axis=-2))
-
-    @cached_property
-    def leg_lengths(self) -> FloatArray:
-        """r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m], shape (..., 6): distances of balls and pivots. Eq. (20)."""
-        return frozen(np.sqrt(((self.balls - self.leg_bases) ** 2).sum(axis=-1)))
-
-    @cached_property
-    def readings(self) -> FloatArray:
-        """Readings of the legs' encoders, shape (..., 6): [m], for RRS legs [rad]; NaN for a ball out of a leg's reach.
-
-        For RPS legs they are `leg_lengths` plus the offsets of the machine.
-        """
-        legs = self.machine.legs
-        return frozen(
-            self.leg_lengths + legs.offsets if legs.are_rps else legs.readings(self.places, self.machine.crank_middles)
-        )
 
     @cached_property
     def middle_pose(self) -> RigidTransform:
@@ -234,19 +161,6 @@ class Configuration(Batched):
         frames = triangle_frames(self.middle_joints) @ triangle_frames(corners).T
         centres = self.middle_joints.mean(axis=-2) - frames @ corners.mean(axis=0)
         return unchecked_transform(frames, centres)
-
-    @cached_property
-    def closure_residual(self) -> FloatArray:
-        """Largest violation of the nine closure equations [m], shape (...); NaN for a missing member.
-
-        These are distances of balls from the planes of their legs, Eqs. (5b), (5c), and errors of sides, Eq. (12).
-        """
-        b, legs = self.middle_joints, self.machine.legs
-        # Axes, and distances of the planes from O; the latter are exactly zero in a nominal machine.
-        lower = (b * legs.axes[:3]).sum(axis=-1) - (legs.pivots[:3] * legs.axes[:3]).sum(axis=-1)
-        upper = ((self.balls[..., 3:, :] - self.platform_joints) * self.platform_axes).sum(axis=-1)
-        sides = triangle_sides(b) - legs.sides
-        return frozen(np.asarray(np.abs(np.concatenate([lower, upper, sides], axis=-1)).max(axis=-1)))
 
 
 def check_configuration(
@@ -258,12 +172,12 @@ def check_configuration(
     return configuration
 
 
-def check_state(value: Any, argument: str = "configuration", *, existing: bool = False) -> Any:
-    """Return `value` if it is a state of a manipulator or of a stage, without absent members if `existing`."""
+def check_state(value: Any, argument: str = "configuration", *, single: bool = False, existing: bool = False) -> Any:
+    """Return `value` if it is a state of a manipulator or of a stage; see `check_configuration`."""
     if not isinstance(value, Batched):
         received = type(value).__name__
         raise ArgumentError(argument, "a Configuration or a StageConfiguration", received, _cause_of_kind(value))
-    check_members(value, argument, single=False, existing=existing)
+    check_members(value, argument, single=single, existing=existing)
     return value
 
 

@@ -28,7 +28,7 @@ from spm_pin.formulas.leg_constants import AXES, TANGENT_SIGNS
 from spm_pin.formulas.leg_planes import upper_balls
 from spm_pin.formulas.operations import ARRAYS, bind, on_arrays
 from spm_pin.formulas.vectors import dot, minus, times, transposed
-from spm_pin.machine.configuration import Configuration, check_configuration, check_members
+from spm_pin.machine.configuration import Configuration, check_state
 from spm_pin.machine.leg_kinds import KINDS, RPS, LegKind
 from spm_pin.machine.legs import LEGS
 from spm_pin.machine.machine import Machine, check_machine
@@ -230,16 +230,6 @@ class JointAngles:
         return balls.reshape(*balls.shape[:-1], 3, balls.shape[-1] // 3)
 
 
-def check_state(
-    value: Any, argument: str = "configuration", *, single: bool = False, existing: bool = False
-) -> Configuration | StageConfiguration:
-    """Return `value` if it is a configuration of a manipulator or of a stage; see `check_configuration`."""
-    if not isinstance(value, StageConfiguration):
-        return check_configuration(value, argument, single=single, existing=existing)
-    check_members(value, argument, single=single, existing=existing)
-    return value
-
-
 def joint_angles(
     configuration: Configuration | StageConfiguration, corners: tuple[int, ...] = (0, 1, 2)
 ) -> JointAngles:
@@ -255,10 +245,10 @@ def joint_angles(
     shape, constants = configuration.shape, _constants(configuration.machine)
     legs = len(constants.legs)
     count = 2 * legs + legs * len(corners)
-    if isinstance(configuration, StageConfiguration):
-        state = [configuration.balls]
-    else:
+    if isinstance(configuration, Configuration):
         state = [configuration.rotation, configuration.translation, configuration.middle_joints]
+    else:
+        state = [configuration.balls]
     if not shape:
         return _single(state, constants, corners)
     size = math.prod(shape)

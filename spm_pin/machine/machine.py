@@ -44,10 +44,17 @@ class Machine(ABC):
     limits: LegLimits | None
     limits_class: ClassVar[type[LegLimits]] = LegLimits
     """Class of its limits."""
+    file_stem: ClassVar[str]
+    """First part of the names of its files and models: "stage" or "spm"."""
     _heading: ClassVar[str]
     """First line of its files."""
     _least_share: ClassVar[float]
     """Limits of lengths above this, relative to the machine's size, are in the unit of its dimensions."""
+
+    @property
+    @abstractmethod
+    def architecture(self) -> str:
+        """Name of the mechanism in the literature, such as "3RPS-3SPR" or "3-RRS"."""
 
     @property
     @abstractmethod

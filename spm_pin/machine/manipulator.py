@@ -86,6 +86,7 @@ class Manipulator(Machine):
     limits: LegLimits | None
     legs: Legs
 
+    file_stem = "spm"
     _least_share = 0.01
     _heading = "# A manipulator of two stages, lengths in metres and angles in radians: see Manipulator of spm_pin.\n"
 
@@ -184,6 +185,12 @@ class Manipulator(Machine):
     def ball_side(self) -> float:
         """D [m]."""
         return self.middle_side
+
+    @property
+    def architecture(self) -> str:
+        """Name of the mechanism, such as "3RPS-3SPR"."""
+        lower, upper = (kind.name for kind in self.legs.kinds)
+        return f"3{lower}-3{upper[::-1]}"
 
     @property
     def size(self) -> float:

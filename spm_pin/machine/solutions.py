@@ -1,34 +1,291 @@
-"""Several solutions of one problem side by side: the branches of a pose, or the assembly modes of leg lengths."""
+"""Several solutions of one problem, or of a batch of problems, along one axis: branches of a pose, assembly modes."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+import enum
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, ClassVar, Generic, Self, TypeVar, overload
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import RigidTransform
 
-from spm_pin.errors import ArgumentError
-from spm_pin.machine.branch_of_state import BRANCHES, FAMILIES, branch_sign, family, physical, tilt_cosine_sum
+from spm_pin.errors import ArgumentError, NotOneSolutionError, SelectionError
+from spm_pin.machine.batched import Batched, batch_index
+from spm_pin.machine.branch_of_state import BRANCHES, FAMILIES, branch_sign, family
 from spm_pin.machine.configuration import Configuration
-from spm_pin.machine.legs import LEGS
+from spm_pin.machine.legs import LEGS, LegLimits
 from spm_pin.machine.machine import unit_hint
 from spm_pin.machine.manipulator import Manipulator, check_manipulator
-from spm_pin.machine.solution_axis import Solutions, Status, following
+from spm_pin.machine.stage import Stage
+from spm_pin.machine.stage_configuration import BELOW, OPERATION_MODES, StageConfiguration
 from spm_pin.support import notebook
 from spm_pin.support.arguments import (
     BoolArray,
     FloatArray,
+    IntArray,
     boolean_array,
     broadcastable,
+    check_instance,
     first_offender,
     real_array,
+    type_and_value,
 )
 from spm_pin.support.pose import PoseLike, as_rigid_transform
 
 _FAR_TURN = 45.0
 """Turns of the platform larger than this, which are rare, may be given in another unit of angles [degrees]."""
+S = TypeVar("S", bound=Batched)
+
+
+class Status(enum.IntEnum):
+    """Outcome of one problem."""
+
+    OK = 0
+    """At least one real solution, and all solutions are isolated."""
+    UNREACHABLE = 1
+    """No real solution."""
+    DEGENERATE = 2
+    """Some solutions form a continuous family and are omitted; those of the other families are kept."""
+    UNSOLVED = 3
+    """The method failed: nothing is known about the problem."""
+
+    def __str__(self) -> str:
+        return self.name.lower()
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Solutions(Generic[S]):
+    """States along one axis, their labels, and the status of each problem; see `SolutionSet`."""
+
+    configurations: S
+    labels: tuple[str, ...]
+    status: Status | npt.NDArray[np.int8]
+    at_home: BoolArray | None = field(default=None, kw_only=True)
+    _chosen: bool = field(default=False, kw_only=True)
+    """True if a mask has excluded solutions."""
+
+    _kind: ClassVar[type[Batched]]
+    """The states."""
+
+    def __post_init__(self) -> None:
+        shape = check_instance(self.configurations, self._kind, "configurations").shape
+        count = len(self.labels)
+        if not shape or shape[-1] != count:
+            raise ArgumentError("configurations", f"a last axis of {count}, one per label", f"shape {shape}")
+        status = np.broadcast_to(np.asarray(self.status, dtype=np.int8), shape[:-1])
+        object.__setattr__(self, "labels", tuple(self.labels))
+        object.__setattr__(self, "status", status if self.shape else Status(int(status)))
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Batch shape, without the axis of solutions."""
+        return self.configurations.shape[:-1]
+
+    @property
+    def machine(self) -> Any:
+        """The `Manipulator` or the `Stage`."""
+        return self.configurations.machine
+
+    @property
+    def exists(self) -> BoolArray:
+        """True for the solutions that are real, shape (..., n)."""
+        return self.configurations.exists
+
+    @property
+    def rotation(self) -> FloatArray:
+        """Rotations of the platform in {B}, shape (..., n, 3, 3)."""
+        return self.configurations.rotation
+
+    @property
+    def translation(self) -> FloatArray:
+        """Positions of the platform's origin in {B} [m], shape (..., n, 3)."""
+        return self.configurations.translation
+
+    @property
+    def readings(self) -> FloatArray:
+        """Readings of the legs' encoders [m] ([rad] for RRS legs), shape (..., n, legs)."""
+        return self.configurations.readings
+
+    @property
+    def residual(self) -> FloatArray:
+        """Closure residual of each solution [m], shape (..., n)."""
+        return self.configurations.closure_residual
+
+    @property
+    def count(self) -> IntArray:
+        """Number of real solutions, shape (...); ``len`` is the number of labels."""
+        return np.asarray(np.count_nonzero(self.exists, axis=-1), dtype=np.intp)
+
+    @overload
+    def __getitem__(self, index: str) -> S: ...
+    @overload
+    def __getitem__(self, index: Any) -> S | Self: ...
+    def __getitem__(self, index: Any) -> Any:
+        if isinstance(index, str):
+            if index not in self.labels:
+                labels = ", ".join(self.labels[:8]) + ", …" * (len(self.labels) > 8)
+                raise SelectionError("index", f"a label: {labels}", repr(index))
+            return self.configurations[..., self.labels.index(index)]
+        if not self.shape:
+            return self.configurations[index]
+        batch = batch_index(index)
+        inner = (*batch, slice(None))
+        try:
+            chosen = self.configurations[inner]
+        except SelectionError as error:
+            expected = f"a label, or an index of the problems {self.shape}"
+            raise SelectionError("index", expected, type_and_value(index), error.cause) from error
+        details = {x.name: getattr(self, x.name) for x in fields(self) if x.default is None}
+        details = {name: None if x is None else x[inner] for name, x in details.items()}
+        return replace(self, configurations=chosen, status=np.asarray(self.status)[index], **details)
+
+    def __iter__(self) -> Iterator[S]:
+        if self.shape:
+            raise TypeError("a batch of problems is indexed, not iterated over: solutions[i] is problem i")
+        return (self.configurations[k] for k in range(len(self.labels)))
+
+    def __len__(self) -> int:
+        """Return the number of labels, or for a batch the length of its first axis."""
+        return self.shape[0] if self.shape else len(self.labels)
+
+    def __repr__(self) -> str:
+        name = type(self).__name__
+        if self.shape:
+            tally = ", ".join(f"{np.count_nonzero(self.status == s)} {s}" for s in Status)
+            return f"<{name}: {self.shape} problems ({tally}), {len(self.labels)} solutions each>"
+        real = [label for label, real in zip(self.labels, self.exists, strict=True) if real]
+        shown = (", ".join(real[:8]) + ", …" * (len(real) > 8)) or "none"
+        hint = self._hint(()) if self.status is Status.UNREACHABLE else ""
+        return f"<{name}: {self.status}, {self.count} of {len(self.labels)} real: {shown}{hint}>"
+
+    def pick(self, index: IntArray, exists: BoolArray) -> S:
+        """Return the solution of each problem at `index` (...); NaN, pose included, where `exists` (...) is False."""
+        everywhere = bool(exists.all())
+        # A slice for a single problem, so that nothing shares memory with the others.
+        places = (*np.indices(index.shape, sparse=True), index) if self.shape else (slice(index, index + 1),)
+
+        def take(array: FloatArray, inner: int) -> FloatArray:
+            values = array[places].reshape(*self.shape, *array.shape[-inner:])
+            if everywhere and self.shape:
+                return values
+            return np.where(exists.reshape(*self.shape, *(1,) * inner), values, np.nan)
+
+        selected = self.configurations.transformed(take)
+        if not self.shape and not exists:
+            selected.missing_reason = self._reason_for_none()
+        return selected
+
+    def where(self, mask: npt.ArrayLike) -> Self:
+        """Keep the solutions where the booleans `mask` (..., n) are true; the others become NaN."""
+        kept = boolean_array(mask, "mask", self.exists.shape)
+        chosen = self._chosen or bool((self.exists & ~kept).any())
+        return replace(self, configurations=self.configurations.where(kept), _chosen=chosen)
+
+    def within(self, limits: LegLimits | None = None) -> Self:
+        """Keep the solutions within limits of the legs, by default the machine's own; `status` does not change."""
+        limits = self.configurations.limits if limits is None else check_instance(limits, LegLimits, "limits")
+        if limits is None:
+            return self
+        count = self.readings.shape[-1]
+        if len(limits.legs) != count:
+            raise ArgumentError("limits", f"limits of {count} legs", f"{type(limits).__name__} of {len(limits.legs)}")
+        self.configurations.machine.check_limits(limits)
+        return self.where(limits.contains(self.readings))
+
+    def nearest(self, near: S | npt.ArrayLike) -> S:
+        """Return the solution whose joints are nearest to those of `near`; NaN if none exists.
+
+        Solutions are compared by their largest displacement of a joint: of all `compared_points` of a state, or of the
+        first three if only these are given, as rows (..., 3, 3) [m].
+        """
+        return self._nearest(near, self.exists)
+
+    def _nearest(self, near: S | npt.ArrayLike, candidates: BoolArray) -> S:
+        points = self.configurations.compared_points
+        if isinstance(near, Batched):
+            target = near.compared_points
+        else:
+            target = real_array(near, "near", (3, 3), "a state, or rows b_1, b_2, b_3 in metres")
+        points = points[..., : target.shape[-2], :]
+        absent = np.isnan(target).any(axis=(-1, -2))
+        if absent.any():
+            raise ArgumentError("near", "states that exist", f"NaN at index {first_offender(absent)}")
+        boolean_array(absent, "near", self.shape)  # leading axes that broadcast to those of the problems
+        distance = np.sqrt(((points - target[..., None, :, :]) ** 2).sum(axis=-1)).max(axis=-1)
+        distance = np.where(candidates, distance, np.inf)
+        return self.pick(distance.argmin(axis=-1), np.asarray(candidates.any(axis=-1)))
+
+    @property
+    def is_physical(self) -> BoolArray:
+        """True for solutions reached from the symmetric home without a forward singularity, shape (..., n).
+
+        If several are, and some are within the machine's limits, the others are dropped; use ``.within().physical()``
+        to exclude all that are beyond them.
+        """
+        mode = self.configurations.is_at_home if self.at_home is None else self.at_home & self.exists
+        limits = self.configurations.limits
+        if limits is None or np.count_nonzero(mode) <= 1:
+            return mode
+        # Usually the first two branches suffice; readings of the others are then not computed.
+        some = slice(int(np.flatnonzero(mode.reshape(-1, len(self.labels)).any(axis=0))[-1:].sum()) + 1)
+        inside = mode.copy()
+        inside[..., some] &= limits.contains(self.configurations[..., some].readings)
+        return np.where(inside.any(axis=-1, keepdims=True), inside, mode)
+
+    @property
+    def ambiguous(self) -> Any:
+        """True if several solutions of a problem are physical, shape (...); `physical` then chooses one."""
+        several = np.count_nonzero(self.is_physical, axis=-1) > 1
+        return several if self.shape else bool(several)
+
+    def physical(self, near: S | npt.ArrayLike | None = None) -> S:
+        """Return the physical solution; NaN if missing.
+
+        From `is_physical` it chooses the nearest to `near` if given. Without `near`, two solutions on either side of an
+        inverse singularity may remain: it then chooses the one with less tilted stages, and `ambiguous` is true.
+        """
+        candidates = self.is_physical
+        if near is not None:
+            return self._nearest(near, candidates)
+        return self.pick(least_tilted(self.configurations, candidates), np.asarray(candidates.any(axis=-1)))
+
+    def one(self) -> S:
+        """Return the only solution of every problem.
+
+        Raises
+        ------
+        NotOneSolutionError
+            If a problem has none or several.
+        """
+        wrong = self.count != 1
+        if wrong.any():
+            index = first_offender(wrong)
+            labels = tuple(np.array(self.labels)[self.exists[index]])
+            raise NotOneSolutionError(labels, index, "" if labels else self._reason_for_none(index))
+        return self.pick(self.exists.argmax(axis=-1), np.ones(self.shape, dtype=bool))
+
+    def _reason_for_none(self, index: tuple[int, ...] = ()) -> str:
+        """Return the reason why no solution of a problem can be chosen."""
+        status = Status(int(np.asarray(self.status)[index]))
+        if status is Status.DEGENERATE:
+            return self._degenerate(index)
+        if status is Status.OK:
+            if not self.count[index]:
+                return f".within(limits) or .where(mask) excluded all solutions{self._hint(index)}"
+            left = " left by .within(limits) or .where(mask)" if self._chosen else ""
+            return f"none of the solutions{left} is physical{self._hint(index)}"
+        if status is Status.UNREACHABLE:
+            return f"out of reach: no solution is real{self._hint(index)}"
+        return "the method failed here"
+
+    def _degenerate(self, index: tuple[int, ...]) -> str:
+        return "the problem is singular, its solutions are a continuous family"
+
+    def _hint(self, index: tuple[int, ...]) -> str:
+        """Return sentences, each after a full stop, on why a problem has no solution and where one is; may be empty."""
+        return _following([self.configurations.missing_reason])
 
 
 @dataclass(frozen=True)
@@ -42,9 +299,9 @@ class Degeneracy:
     legs: BoolArray
     """Legs whose lower and upper planes coincide, so that b_i is not restricted to a line, shape (..., 3)."""
 
-    def __getitem__(self, batch: tuple[Any, ...]) -> Degeneracy:
-        inner = (*batch, slice(None))
-        return Degeneracy(self.dimension[batch], self.families[inner], self.legs[inner])
+    def __getitem__(self, index: tuple[Any, ...]) -> Degeneracy:
+        """Index the batch axes; the last part of `index` is that of the last axis."""
+        return Degeneracy(self.dimension[index[:-1]], self.families[index], self.legs[index])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -87,7 +344,6 @@ class SolutionSet(Solutions[Configuration]):
 
     discriminants: FloatArray | None = None
     certain: BoolArray | None = None
-    at_home: BoolArray | None = None
     degeneracy: Degeneracy | None = None
     merged: BoolArray | None = None
     radius: FloatArray | None = None
@@ -131,11 +387,6 @@ class SolutionSet(Solutions[Configuration]):
         return cls(branches, BRANCHES, status)
 
     @property
-    def machine(self) -> Manipulator:
-        """The manipulator."""
-        return self.configurations.machine
-
-    @property
     def middle_joints(self) -> FloatArray:
         """Ball joint centres b_1, b_2, b_3 as rows in {B} [m], shape (..., n, 3, 3); NaN where not real."""
         return self.configurations.middle_joints
@@ -144,11 +395,6 @@ class SolutionSet(Solutions[Configuration]):
     def leg_lengths(self) -> FloatArray:
         """r_b1 to r_c3 [m], shape (..., n, 6); NaN where not real."""
         return self.configurations.leg_lengths
-
-    @property
-    def residual(self) -> FloatArray:
-        """Closure residual of each solution [m], shape (..., n)."""
-        return self.configurations.closure_residual
 
     def _repr_html_(self) -> str:
         if self.shape:
@@ -176,31 +422,6 @@ class SolutionSet(Solutions[Configuration]):
         radius = None if self.radius is None else np.where(kept.exists, self.radius, np.nan)
         return replace(kept, radius=radius)
 
-    @property
-    def is_physical(self) -> BoolArray:
-        """True for solutions reached from the symmetric home without a forward singularity, shape (..., n).
-
-        If several are, and some are within the machine's limits, the others are dropped; use ``.within().physical()``
-        to exclude all that are beyond them.
-        """
-        mode = physical(self.configurations) if self.at_home is None else self.at_home & self.exists
-        limits = self.machine.limits
-        if limits is None:
-            return mode
-        # Usually the first two branches suffice; readings of the others are then not computed.
-        some = slice(int(np.flatnonzero(mode.reshape(-1, len(self.labels)).any(axis=0))[-1:].sum()) + 1)
-        inside = mode.copy()
-        inside[..., some] &= limits.contains(self.configurations[..., some].readings)
-        return np.where(inside.any(axis=-1, keepdims=True), inside, mode)
-
-    def _preference(self, candidates: BoolArray) -> FloatArray:
-        """Prefer, of two solutions on either side of an inverse singularity, the one with less tilted stages."""
-        score = np.where(candidates, 0.0, -np.inf)
-        several = candidates & (np.count_nonzero(candidates, axis=-1, keepdims=True) > 1)
-        if several.any():
-            score[several] = tilt_cosine_sum(self.configurations[several])
-        return score
-
     def _degenerate(self, index: tuple[int, ...]) -> str:
         if self.labels == BRANCHES and self.degeneracy is not None and self.degeneracy.legs[index].all():
             return (
@@ -217,15 +438,48 @@ class SolutionSet(Solutions[Configuration]):
             if turn > _FAR_TURN:
                 reasons.append(f"The platform is turned by {turn:.0f}° relative to the base: angles are in radians")
             reasons.append("For the nearest pose that is reached see spm_pin.workspace.nearest_reachable_pose")
-        return following(reasons)
+        return _following(reasons)
 
-    def _details(self, batch: tuple[Any, ...]) -> dict[str, Any]:
-        inner = (*batch, slice(None))
-        values: dict[str, Any] = {"degeneracy": None if self.degeneracy is None else self.degeneracy[batch]}
-        for name in ("discriminants", "certain", "at_home", "merged", "radius"):
-            array = getattr(self, name)
-            values[name] = None if array is None else array[inner]
-        return values
+
+class StageSolutions(Solutions[StageConfiguration]):
+    """The states of a stage that solve one problem, or a batch of problems, along one axis; see `SolutionSet`.
+
+    An inverse displacement has two, labelled by the operation modes T, without torsion, and F, a half turn; a forward
+    displacement the sixteen of `spm_pin.kinematics.STAGE_MODES`.
+    """
+
+    _kind = StageConfiguration
+
+    @property
+    def stage(self) -> Stage:
+        """The stage."""
+        return self.configurations.stage
+
+    def _hint(self, index: tuple[int, ...]) -> str:
+        nearest = "For the nearest tilt that is reached see spm_pin.workspace.nearest_reachable_pose"
+        if self.labels != OPERATION_MODES:
+            return super()._hint(index)
+        below = (self.configurations.height[index] < 0.0).any() and not self.is_physical[index].any()
+        return _following([self.configurations.missing_reason, BELOW * bool(below), nearest])
+
+
+def least_tilted(states: Batched, candidates: BoolArray) -> IntArray:
+    """Return the index (...) of the candidate (..., n) whose stages are least tilted, 0 if there is none."""
+    if np.count_nonzero(candidates) <= 1:
+        return np.asarray(candidates.argmax(axis=-1))
+    score = np.where(candidates, 0.0, -np.inf)
+    several = candidates & (np.count_nonzero(candidates, axis=-1, keepdims=True) > 1)
+    if several.any():
+        score[several] = states[several].tilt_cosine_sum
+    return np.asarray(score.argmax(axis=-1))
+
+
+def _following(sentences: Iterable[str]) -> str:
+    """Return the sentences that are not empty, joined so that they follow another sentence."""
+    text = ""
+    for sentence in filter(None, sentences):
+        text += f"{'' if text.endswith('?') else '.'} {sentence[0].upper()}{sentence[1:]}"
+    return text
 
 
 def _in_canonical_order(

@@ -72,6 +72,7 @@ class Stage(Machine):
     limits: StageLimits | None
 
     limits_class = StageLimits
+    file_stem = "stage"
     _least_share = 0.0
     _heading = "# A stage of three planar legs, lengths in metres and angles in radians: see Stage of spm_pin.\n"
 
@@ -156,6 +157,11 @@ class Stage(Machine):
     def unit(self) -> str:
         """Unit of the readings, "m" or "rad"."""
         return self.kind.unit
+
+    @property
+    def architecture(self) -> str:
+        """Name of the mechanism, such as "3-RRS"."""
+        return f"3-{self.kind.name}"
 
     @property
     def size(self) -> float:

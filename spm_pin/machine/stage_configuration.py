@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from functools import cached_property
 from typing import Any
 
@@ -12,7 +11,6 @@ from scipy.spatial.transform import RigidTransform
 from spm_pin.formulas import circles
 from spm_pin.formulas.operations import on_arrays, rows_of
 from spm_pin.machine.batched import Batched, masked
-from spm_pin.machine.solution_axis import Solutions, following
 from spm_pin.machine.stage import Stage
 from spm_pin.support.arguments import BoolArray, FloatArray, check_instance, frozen
 from spm_pin.support.pose import PoseLike, as_rigid_transform
@@ -49,17 +47,6 @@ class StageConfiguration(Batched):
         matrix = as_rigid_transform(pose).as_matrix()
         self._set(check_instance(stage, Stage, "stage"), matrix[..., :3, :3].copy(), matrix[..., :3, 3].copy())
 
-    @classmethod
-    def from_arrays(
-        cls, stage: Stage, rotation: FloatArray, translation: FloatArray, readings: FloatArray | None = None
-    ) -> StageConfiguration:
-        """Make a configuration from valid arrays with equal leading axes, without checks or copies."""
-        self = cls.__new__(cls)
-        self._set(stage, rotation, translation)
-        if readings is not None:
-            self.__dict__["readings"] = frozen(readings)
-        return self
-
     def where(self, kept: BoolArray) -> StageConfiguration:
         """Return the states where `kept` (...) is true; the others are NaN throughout."""
         return self.transformed(lambda array, inner: masked(array, kept, inner))
@@ -74,11 +61,6 @@ class StageConfiguration(Batched):
     def stage(self) -> Stage:
         """The stage."""
         return self._machine
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Batch shape."""
-        return self._translation.shape[:-1]
 
     @property
     def exists(self) -> BoolArray:
@@ -148,48 +130,9 @@ class StageConfiguration(Batched):
         return self.pose
 
     @property
-    def compared_points(self) -> FloatArray:
-        """Points by whose displacement states are compared: the balls."""
-        return self.balls
-
-    @property
-    def leg_bases(self) -> FloatArray:
-        """Pivots of the legs as rows in {B} [m], shape (3, 3): the same in all states."""
-        return self.stage.legs.pivots
-
-    @property
-    def leg_axes(self) -> FloatArray:
-        """Unit revolute axes of the legs as rows in {B}, shape (3, 3)."""
-        return self.stage.legs.axes
-
-    @property
-    def leg_planes(self) -> tuple[FloatArray, FloatArray]:
-        """Unit vectors x, radially outwards, and z, upwards, of the legs' planes, as rows in {B}, (3, 3) each."""
-        return self.stage.legs.planes
-
-    @cached_property
-    def readings(self) -> FloatArray:
-        """Readings of the legs' encoders, shape (..., 3): [m] ([rad] for RRS legs); NaN for a ball out of reach."""
-        return frozen(self.stage.legs.readings(self.places, self.stage.crank_middles))
-
-    @cached_property
-    def circle_centres(self) -> FloatArray:
-        """Centres of the circles on which balls move with locked actuators, as rows in {B} [m], (..., 3, 3).
-
-        For RPS legs the pivots, for PRS legs the joints of carriage and rod, for RRS legs the knees.
-        """
-        return frozen(np.asarray(self.stage.legs.circles(self.readings)[0]))
-
-    @property
-    def leg_vectors(self) -> FloatArray:
-        """Vectors from circle centres to balls, along which the legs push, as rows in {B} [m], (..., 3, 3)."""
-        return self.balls - self.circle_centres
-
-    @property
-    def closure_residual(self) -> FloatArray:
-        """Largest distance of a ball from the plane of its leg [m], shape (...)."""
-        apart = ((self.balls - self.leg_bases) * self.leg_axes).sum(axis=-1)
-        return np.asarray(np.abs(apart).max(axis=-1))
+    def tilt_cosine_sum(self) -> FloatArray:
+        """Cosine of the tilt, shape (...)."""
+        return self.normal[..., 2]
 
     @property
     def is_at_home(self) -> BoolArray:
@@ -198,34 +141,3 @@ class StageConfiguration(Batched):
         stage: Any = circles.Circles(axes, centres, none[0], none[0])  # type: ignore[arg-type]
         at_home = _is_home_state(stage, rows_of(self.leg_vectors), rows_of(self.balls), self.stage.kind.up)
         return np.asarray(at_home, dtype=np.bool_)
-
-
-class StageSolutions(Solutions[StageConfiguration]):
-    """The states of a stage that solve one problem, or a batch of problems, along one axis; see `SolutionSet`.
-
-    An inverse displacement has two, labelled by the operation modes T, without torsion, and F, a half turn; a forward
-    displacement the sixteen of `spm_pin.kinematics.STAGE_MODES`.
-    """
-
-    _kind = StageConfiguration
-
-    @property
-    def stage(self) -> Stage:
-        """The stage."""
-        return self.configurations.stage
-
-    @property
-    def is_physical(self) -> BoolArray:
-        """True for solutions reached from the level platform without a forward singularity, shape (..., n)."""
-        return self.configurations.is_at_home
-
-    def _preference(self, candidates: BoolArray) -> FloatArray:
-        """Prefer the one that tilts least."""
-        return np.where(candidates, np.cos(self.configurations.tilt), -math.inf)
-
-    def _hint(self, index: tuple[int, ...]) -> str:
-        nearest = "For the nearest tilt that is reached see spm_pin.workspace.nearest_reachable_pose"
-        if self.labels != OPERATION_MODES:
-            return super()._hint(index)
-        below = (self.configurations.height[index] < 0.0).any() and not self.is_physical[index].any()
-        return following([self.configurations.missing_reason, BELOW * bool(below), nearest])

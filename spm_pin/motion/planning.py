@@ -21,7 +21,8 @@ from spm_pin.errors import ArgumentError, UnreachableError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_physical
 from spm_pin.kinematics.singularity_analysis import determinants
-from spm_pin.machine import Configuration, LegLimits, PoseLike, Stage, StageConfiguration, as_rigid_transform
+from spm_pin.machine import LegLimits, PoseLike, Stage, as_rigid_transform
+from spm_pin.machine.batched import Batched
 from spm_pin.machine.configuration import check_members
 from spm_pin.machine.machine import check_machine
 from spm_pin.machine.manipulator import check_same_machine
@@ -194,7 +195,7 @@ def plan(
 def _state(machine: AnyMachine, place: Place, name: str) -> State:
     """Return the physical state of a configuration, a pose or leg lengths."""
     count, unit = len(machine.legs.names), machine.legs.unit_text()
-    if isinstance(place, Configuration | StageConfiguration):
+    if isinstance(place, Batched):
         check_members(place, name, single=True, existing=True)
         check_same_machine(place.machine, machine, name, "`machine`")
         physical = forward_physical(machine, place.readings)

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -28,8 +28,9 @@ from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import physical_at_poses
 from spm_pin.loops.batched_state import at_index
 from spm_pin.loops.closed_chain import ClosedChain as LoopChain
-from spm_pin.machine.configuration import Configuration
-from spm_pin.machine.joint_angles import check_state, joint_angles, value_names
+from spm_pin.loops.state_kinematics import AGREEMENT
+from spm_pin.machine.configuration import Configuration, check_state
+from spm_pin.machine.joint_angles import joint_angles, value_names
 from spm_pin.machine.legs import check_path_readings
 from spm_pin.machine.machine import Machine, check_machine
 from spm_pin.machine.manipulator import Manipulator, check_rps, check_same_machine
@@ -37,7 +38,7 @@ from spm_pin.machine.stage import Stage
 from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.multibody.chain_state import ChainState
 from spm_pin.multibody.closure_solvers import close_loops, follow_legs, follow_pose
-from spm_pin.multibody.constrained_model import AGREEMENT, ConstrainedModel, TreeKinematics, read_vectors
+from spm_pin.multibody.constrained_model import ConstrainedModel, TreeKinematics, read_vectors
 from spm_pin.multibody.mounting import MountedChain, mount
 from spm_pin.multibody.simulation import ForceFunction, Simulation, run_simulation
 from spm_pin.multibody.trajectory import JointTrajectory, PlatformMotion, PlatformPath, increasing_times, read_motion
@@ -209,11 +210,7 @@ class ClosedChain:
         if state.machine is not self.machine:
             check_same_machine(state.machine, self.machine, "configuration", "the chain")
             # With the chain's own limits: they set the zero of its slides.
-            if isinstance(self.machine, Stage):
-                state = StageConfiguration.from_arrays(self.machine, state.rotation, state.translation)
-            else:
-                own, balls = self.machine, cast(Configuration, state).middle_joints
-                state = Configuration.from_arrays(own, state.rotation, state.translation, balls)
+            state = state.with_machine(self.machine)
         return self._values_of(state)
 
     def _values_of(self, configuration: Configuration | StageConfiguration) -> FloatArray:
@@ -383,31 +380,21 @@ class ClosedChain:
     ) -> Simulation:
         """Integrate the motion under leg forces, gravity and a wrench, up to the last time or an event that ends it.
 
-        The method is SciPy's DOP853 with projection onto the closures after each step. Leg limits, inverse and forward
-        singularities do not stop it; `limit_excess` of the result shows limits. A leg whose length becomes zero and a
-        constraint singularity end the run, since forces in the balls are unbounded there. They are detected at the ends
-        of steps.
+        Leg limits, inverse and forward singularities do not stop it; `limit_excess` of the result shows limits. A leg
+        whose length becomes zero and a constraint singularity end the run, since forces in the balls are unbounded
+        there. They are detected at the ends of steps.
 
         Parameters
         ----------
-        q0, v0 : array_like, shape (nq,)
-            Joint values and velocities of a closed mechanism at the first time.
+        q0, v0, times, period, tolerance
+            As `q`, `v` and so on of `spm_pin.loops.forward_simulation.simulate`. The default tolerance keeps the energy
+            to about 1e-12 of itself in a second of falling.
         forces : array_like (n,), callable, or None
-            Forces of the legs [N] ([N m] for RRS legs): constant, or a function (t, q, v) → (n,); None lets them move
-            freely. A function without `period` is smooth in its arguments alone: it is called several times a step, and
-            not in order.
-        times : array_like, shape (n,)
-            Times to record [s], increasing; the motion begins at the first.
+            Its `tau`: forces of the legs [N] ([N m] for RRS legs), or a function (t, q, v) → (n,).
         wrench : array_like (6,), or callable, optional
             Wrench onto the terminal platform: constant, or a function (t, q, v) → (6,).
-        period : float, optional
-            Sampling period of a digital controller [s]: `forces` is called once at the start of each period, in order,
-            and its answer held. It may keep a state of its own.
-        tolerance : float
-            Error of a step, relative and absolute in the units of q and v; from 1e-13 to 1e-3. The default keeps the
-            energy to about 1e-12 of itself in a second of falling.
         """
-        return run_simulation(self.loops, self._constrained, q0, v0, times, forces, wrench, period, tolerance)
+        return run_simulation(self._constrained, q0, v0, times, forces, wrench, period, tolerance)
 
 
 def _listed(numbers: npt.ArrayLike) -> str:

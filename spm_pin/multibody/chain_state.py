@@ -1,18 +1,14 @@
 """The state of a chain: joint values and velocities, one or a batch, and all that is computed from them.
 
-With the tree's mass matrix M, its nonlinear effects h, and S, Jm and Jc as in the module `constrained_model`, leg
-forces f, a wrench w onto the terminal platform and the forces λ in the cut balls,
-
-    M a + h = Sᵀ f + Jmᵀ w + Jcᵀ λ,    Jc a + J̇c v = 0;
-
-`docs/theory/dynamics.md` says which unknowns each method solves for, and where that is regular.
+The equations are those of `spm_pin.loops.state_kinematics`, with the matrices of `constrained_model`; the forces λ are
+those in the cut balls. `docs/theory/dynamics.md` says which unknowns each method solves for, and where that is regular.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -22,8 +18,6 @@ from scipy.linalg import LinAlgError, eigh
 from spm_pin.errors import ArgumentError
 from spm_pin.loops.loop_state import TreeState
 from spm_pin.machine.configuration import Configuration
-from spm_pin.machine.manipulator import Manipulator
-from spm_pin.machine.stage import Stage
 from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.multibody.constrained_model import (
     ConstrainedModel,
@@ -65,18 +59,8 @@ class NaturalFrequencies(NamedTuple):
 class ConstrainedState(TreeState):
     """Joint values q and velocities v of a model with closures, and quantities computed from them.
 
-    Made by the method `state` of `ClosedChain` and `MountedChain`, and moved by `update`, without new memory:
-    in a loop make one and update it. For one q and v, kinematics, constraint Jacobian and factorisations are computed
-    once and kept for later calls; for a batch each call computes them again, member by member. Arguments broadcast with
-    the batch. A state is not thread-safe.
-
-    Attributes
-    ----------
-    kinematics : TreeKinematics
-        Pinocchio's data, Jacobians and factorisations at a single q; do not change it.
-    failures : dict of tuple of int to SpmError
-        Errors of the last call for a batch: the `SingularConfigurationError` or `ClosureError` of each member that is
-        NaN, or the `ArgumentError` where a ball joint's middle angle is ±90°, by its index.
+    Made by the method `state` of `ClosedChain` and `MountedChain`; `update`, batches, `kinematics` and `failures` are
+    as of a `spm_pin.loops` `LoopState`. A ball joint whose middle angle is ±90° is a failure too.
     """
 
     _kept_argument = "q"
@@ -97,7 +81,12 @@ class ConstrainedState(TreeState):
 
     def closure_gap(self) -> FloatArray:
         """Return how far the closures are open: from `frame_a` to `frame_b` of each [m], shape (..., 4, 3)."""
-        return self._each_member(self.kinematics.gaps, (len(self._constrained.closures), 3))
+
+        def member() -> FloatArray:
+            places = self.kinematics.data.oMf
+            return np.array([places[b].translation - places[a].translation for a, b in self._constrained.pairs])
+
+        return self._each_member(member, (len(self._constrained.closures), 3))
 
     def constraint_jacobian(self) -> FloatArray:
         """Return the derivative of `closure_gap` by q, shape (..., 12, nv), three rows per closure; exact at any q.
@@ -181,10 +170,9 @@ class ChainState(ConstrainedState):
 
         corners = len(constrained.corner_frames)
         rotation, translation, points = self._each_member(member, [(3, 3), (3,), (corners, 3)])
-        machine = constrained.machine
-        if isinstance(machine, Stage):
-            return StageConfiguration.from_arrays(machine, rotation, translation)
-        return Configuration.from_arrays(cast(Manipulator, machine), rotation, translation, points)
+        if constrained.is_stage:
+            return StageConfiguration.from_arrays(constrained.machine, rotation, translation)
+        return Configuration.from_arrays(constrained.machine, rotation, translation, points)
 
     def inverse_jacobian(self) -> FloatArray:
         """Return J_f (..., 6, 6), which maps the platform's twist to the leg rates; for a stage (..., 3, 3).
@@ -249,14 +237,11 @@ class ChainState(ConstrainedState):
         Per closure, what the middle platform (`frame_a`) exerts onto the tip of the leg (`frame_b`). The wrench and the
         errors are those of `leg_forces`.
         """
+        kinematics, shape = self.kinematics, (len(self._constrained.closures), 3)
 
         def member(load: FloatArray) -> FloatArray:
-            # The rows are along the axes of `frame_a`.
-            cuts = self._holding(load)[1].reshape(-1, 3)
-            axes = (self.kinematics.data.oMf[a].rotation for a, _ in self._constrained.pairs)
-            return np.array([turn.dot(cut) for turn, cut in zip(axes, cuts, strict=True)])
+            return kinematics.in_universe(self._holding(load)[1]).reshape(shape)
 
-        shape = len(self._constrained.closures), 3
         return self._each_closed_member(member, shape, wrench=read_vectors(wrench, "wrench", 6))
 
     def _holding(self, load: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -348,9 +333,8 @@ class ChainState(ConstrainedState):
             return np.asarray(pin.getFrameJacobianTimeVariation(model, data, frame, pin.LOCAL_WORLD_ALIGNED))
 
         # Jc Ẋ = -J̇c X, in the axes of `frame_a` as the rows are, and the twists of X have constant rows of freedoms.
-        freedoms, opening = constrained.freedoms, -_differences(constrained, change) @ x
-        axes = np.array([data.oMf[a].rotation for a, _ in constrained.pairs])
-        opening = (axes.swapaxes(1, 2) @ opening.reshape(len(axes), 3, -1)).reshape(opening.shape)
+        freedoms = constrained.freedoms
+        opening = kinematics.in_universe(-_differences(constrained, change) @ x, back=True)
         part = np.stack([kinematics.velocities_along(np.zeros(6), column) for column in opening.T], axis=-1)
         platform = change(constrained.platform_frame)
         x_rate = part - x @ (platform @ x + kinematics.platform_jacobian @ part)[freedoms]

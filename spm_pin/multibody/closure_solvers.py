@@ -49,7 +49,7 @@ def close_loops(kinematics: TreeKinematics, q: FloatArray, most: int = 10) -> Fl
     kinematics.evaluate(q)
     for iteration in range(most + 1):
         gap = kinematics.residual
-        if _widest(gap) <= tolerance:
+        if widest(gap) <= tolerance:
             return q
         if iteration == most:
             break
@@ -64,12 +64,12 @@ def close_loops(kinematics: TreeKinematics, q: FloatArray, most: int = 10) -> Fl
                     break
             share *= 0.5
             if share < SHORTEST_NEWTON_SHARE:
-                raise ClosureError(_widest(gap), iteration, cause)
+                raise ClosureError(widest(gap), iteration, cause)
         q = tried
-    raise ClosureError(_widest(gap), most, cause)
+    raise ClosureError(widest(gap), most, cause)
 
 
-def _widest(gap: FloatArray) -> float:
+def widest(gap: FloatArray) -> float:
     """Return the largest distance of two points that a closure holds together [m]."""
     return float(np.linalg.norm(gap.reshape(-1, 3), axis=-1).max())
 

@@ -34,13 +34,11 @@ from spm_pin.loops.closed_chain import ClosedChain as LoopChain
 from spm_pin.loops.closures import Anchor
 from spm_pin.loops.closures import Closure as LoopClosure
 from spm_pin.loops.state_kinematics import StateKinematics
+from spm_pin.loops.state_kinematics import read_vectors as read_any_vectors
 from spm_pin.machine.joint_angles import actuated_joints, home_readings, joint_names
 from spm_pin.machine.machine import Machine
-from spm_pin.machine.stage import Stage
-from spm_pin.support.arguments import FloatArray, IntArray, frozen, real_array
+from spm_pin.support.arguments import FloatArray, IntArray, frozen
 
-AGREEMENT = 1e-9
-"""Relative difference of lengths up to which it is taken for rounding; above it they are of another robot."""
 SINGULAR = 64.0 * float(np.finfo(np.float64).eps)
 """A matrix is singular to rounding where its smallest singular value is at most this times its largest.
 
@@ -66,15 +64,7 @@ _MEANINGS = {
 
 def read_vectors(value: npt.ArrayLike, argument: str, size: int, *, single: bool = False) -> FloatArray:
     """Return vectors (..., size) as float64, or one (size,), or raise `ArgumentError`."""
-    if (
-        type(value) is np.ndarray
-        and value.shape == (size,)
-        and value.dtype == np.float64
-        # For the single vectors of control loops an eighth of the time of NumPy's own tests.
-        and (math.isfinite(sum(value.tolist())) or np.isfinite(value).all())
-    ):
-        return value
-    array = real_array(value, argument, (size,), _MEANINGS[argument])
+    array = read_any_vectors(value, argument, size, _MEANINGS[argument])
     if single and array.ndim != 1:
         raise ArgumentError(argument, f"shape ({size},), {_MEANINGS[argument]}", f"shape {array.shape}")
     return array
@@ -135,7 +125,7 @@ class ConstrainedModel:
 
     def __init__(self, model: Any, closures: tuple[Closure, ...], machine: Machine, prefix: str) -> None:
         self.closures, self.machine = closures, machine
-        self.is_stage = isinstance(machine, Stage)
+        self.is_stage = len(machine.legs.stages) == 1
         self.freedoms = np.array([2, 3, 4] if self.is_stage else range(6), dtype=np.intp)
         joints = {name: model.joints[model.getJointId(prefix + name)] for name in joint_names(machine)}
         names = sorted(joints, key=lambda name: joints[name].idx_q)
@@ -224,10 +214,11 @@ class TreeKinematics(StateKinematics):
         # The balls' middle angles in q, and their names.
         self._middles = [(int(constrained.in_q[ball[1]]), constrained.names[ball[1]]) for ball in constrained.balls]
 
-    def gaps(self) -> FloatArray:
-        """Return the gaps from the origin of `frame_a` to that of `frame_b`, in the universe's axes [m], (n, 3)."""
-        places = self.data.oMf
-        return np.array([places[b].translation - places[a].translation for a, b in self.constrained.pairs])
+    def in_universe(self, rows: FloatArray, *, back: bool = False) -> FloatArray:
+        """Return rows of the closures (3 n, ...), which are along the axes of `frame_a`, in the universe's, or back."""
+        axes = np.array([self.data.oMf[a].rotation for a, _ in self.constrained.pairs])
+        axes = axes.swapaxes(1, 2) if back else axes
+        return np.asarray((axes @ rows.reshape(len(axes), 3, -1)).reshape(rows.shape))
 
     @cached_property
     def platform_jacobian(self) -> FloatArray:

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
-from spm_pin.loops.closed_chain import ClosedChain as LoopChain
 from spm_pin.loops.forward_simulation import LoopMotion, SimulationEnd, simulate
+from spm_pin.multibody.closure_solvers import widest
 from spm_pin.multibody.constrained_model import ConstrainedModel, TreeKinematics, read_vectors
 from spm_pin.multibody.trajectory import increasing_times
 from spm_pin.support.arguments import FloatArray
@@ -45,7 +45,6 @@ class Simulation(LoopMotion):
 
 
 def run_simulation(
-    loops: LoopChain,
     constrained: ConstrainedModel,
     q0: npt.ArrayLike,
     v0: npt.ArrayLike,
@@ -74,7 +73,7 @@ def run_simulation(
     events = {names[leg]: length(leg) for leg in lengths.tolist()} | {str(SimulationEnd.SINGULARITY): margin}
     try:
         motion = simulate(
-            loops,
+            constrained.loops,
             q,
             v,
             forces,
@@ -93,7 +92,7 @@ def run_simulation(
     gaps = []
     for joints in motion.q:
         kinematics.evaluate(joints)
-        gaps.append(np.linalg.norm(kinematics.gaps(), axis=-1).max())
+        gaps.append(widest(kinematics.residual))
     if motion.detail == SimulationEnd.SINGULARITY:
         motion = replace(motion, end=SimulationEnd.SINGULARITY, detail="")
     return Simulation(**vars(motion), readings=readings, closure_gap=np.array(gaps), limit_excess=excess)

@@ -134,7 +134,7 @@ def read_stage(chain: LoopChain, *, base: PoseLike | None = None, tolerance: flo
         )
     rounding = real_number(tolerance, "tolerance", "a number above 0, at most 0.1", above=0.0, most=0.1)
     q = chain.close()
-    size = _size(chain, q)
+    size = chain.rows.size
     tripod = find_legs(chain, q, rounding * size)
     kinds = {"".join(LETTERS[joint.kind] for joint in leg) for leg in tripod.legs}
     if len(kinds) > 1:
@@ -155,14 +155,6 @@ def read_stage(chain: LoopChain, *, base: PoseLike | None = None, tolerance: flo
     found = MeasuredStage(stage, joints, frozen(np.array(order)), signs, zeros, placed, platform, platform_pose)
     _check_home(found, legs, plate)
     return found
-
-
-def _size(chain: LoopChain, q: FloatArray) -> float:
-    """Return the size of what the chain spans [m]."""
-    data = chain.model.createData()
-    pin.forwardKinematics(chain.model, data, q)
-    points = np.array([place.translation for place in data.oMi[1:]])
-    return float(np.linalg.norm(np.ptp(points, axis=0)))
 
 
 def _measured(

@@ -20,8 +20,8 @@ from spm_pin.kinematics import (
 )
 from spm_pin.kinematics.stage_displacement import normals_of_tilt
 from spm_pin.kinematics.stage_rates import motion_rows
-from spm_pin.machine import Configuration, LegLimits, Manipulator, SolutionSet, Stage, Status
-from spm_pin.machine.stage_configuration import StageConfiguration, StageSolutions
+from spm_pin.machine import Configuration, LegLimits, Manipulator, SolutionSet, Stage, StageSolutions, Status
+from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.support.arguments import BoolArray, FloatArray, frozen
 
 Space = Literal["pose", "tilt", "legs"]

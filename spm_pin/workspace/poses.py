@@ -35,9 +35,10 @@ from spm_pin.machine import (
     as_rigid_transform,
     joint_angles,
 )
-from spm_pin.machine.branch_of_state import branch_sign, family, physical
+from spm_pin.machine.branch_of_state import branch_sign, family
 from spm_pin.machine.configuration import Condition, check_configuration, check_state
 from spm_pin.machine.manipulator import check_manipulator, check_same_machine
+from spm_pin.machine.solutions import least_tilted
 from spm_pin.support.arguments import (
     BoolArray,
     FloatArray,
@@ -203,8 +204,8 @@ class Reachability:
     @property
     def branch(self) -> IntArray:
         """Index of the label of the allowed branch that tilts least, shape (...); -1 if no branch is allowed."""
-        score = self.branches._preference(self.allowed)
-        return np.where(self.allowed.any(axis=-1), score.argmax(axis=-1), -1).astype(np.intp)
+        index = least_tilted(self.branches.configurations, self.allowed)
+        return np.where(self.allowed.any(axis=-1), index, -1).astype(np.intp)
 
     @property
     def configuration(self) -> Configuration | StageConfiguration:
@@ -250,7 +251,7 @@ def _reachability(
     with np.errstate(invalid="ignore"):
         allowed = (leg_margin >= 0.0) & (angle_margin >= 0.0) & (clearance_margin >= 0.0)
     if branch == "physical":
-        allowed &= states.is_at_home if isinstance(states, StageConfiguration) else physical(states)
+        allowed &= states.is_at_home
     elif branch != "any":
         allowed &= np.array([label == branch for label in branches.labels])
     return Reachability(branches, allowed, leg_margin, angle_margin, clearance_margin)

@@ -16,9 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError, UnreachableError
+from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.singularity_analysis import singularities
 from spm_pin.kinematics.stage_displacement import (
-    forward_physical,
     inverse,
     inverse_physical,
     normals_of_tilt,

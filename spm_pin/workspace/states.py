@@ -17,13 +17,12 @@ from scipy.spatial import KDTree
 from spm_pin.errors import ArgumentError
 from spm_pin.formulas.leg_constants import TANGENT_SIGNS
 from spm_pin.formulas.stages import ANY_ASPECT, HOME_ASPECT
-from spm_pin.kinematics import stage_displacement
 from spm_pin.kinematics.batches import run_kernel
-from spm_pin.kinematics.forward_displacement import states_of_stages
+from spm_pin.kinematics.forward_displacement import forward_physical, states_of_stages
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.machine import Configuration, LegLimits, Machine, Manipulator, StageConfiguration
 from spm_pin.machine.batched import Batched
-from spm_pin.machine.branch_of_state import FAMILIES, family, physical, stage_coordinates
+from spm_pin.machine.branch_of_state import FAMILIES, family, stage_coordinates
 from spm_pin.machine.configuration import Condition, check_condition
 from spm_pin.machine.machine import check_machine
 from spm_pin.support.arguments import (
@@ -363,7 +362,7 @@ class StateSet:
         """Draw `count` sets of readings; return the coordinates (n, 3) of those of each stage that exist."""
         drawn = rng.uniform(self.minimum, self.maximum, (count, len(self.minimum)))
         if len(self.aspects) == 1:
-            states = stage_displacement.forward_physical(self.machine, drawn)
+            states = forward_physical(self.machine, drawn)
             return [self.coordinates(states[states.exists])[:, 0]]
         both, numbers = states_of_stages(self.machine, drawn)
         coordinates = self.coordinates(both)
@@ -409,7 +408,7 @@ def pose_multiplicity(states: StateSet, configurations: Configuration) -> IntArr
     branches = inverse_displacement(states.machine, configurations.pose).configurations
     within = states.admits(branches.readings).all(axis=-1)
     # A state at a limit may miss it by rounding: it counts itself at least.
-    return np.asarray(np.maximum((physical(branches) & within).sum(axis=-1), 1), dtype=np.intp)
+    return np.asarray(np.maximum((branches.is_at_home & within).sum(axis=-1), 1), dtype=np.intp)
 
 
 def given_limits(machine: Machine, limits: LegLimits | None) -> LegLimits | None:

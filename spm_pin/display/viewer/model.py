@@ -30,7 +30,7 @@ from spm_pin.kinematics.random_states import random_states
 from spm_pin.kinematics.readings import read_readings
 from spm_pin.machine import FAMILIES, LEGS, Configuration, Manipulator, SolutionSet, Stage, StageConfiguration, Status
 from spm_pin.machine.batched import Batched
-from spm_pin.machine.branch_of_state import family, physical
+from spm_pin.machine.branch_of_state import family
 from spm_pin.multibody.chain import ClosedChain
 from spm_pin.support.arguments import BoolArray, FloatArray, real_array
 from spm_pin.support.pose import inverse_command
@@ -76,7 +76,7 @@ class SessionState:
     @cached_property
     def is_physical(self) -> bool:
         """Whether the state is reached from the home without a forward singularity."""
-        return bool(physical(self.shown))
+        return bool(self.shown.is_at_home)
 
     @cached_property
     def singularities(self) -> Singularities:
@@ -202,9 +202,9 @@ class ViewerModel:
     def set_readings(self, readings: npt.ArrayLike) -> SessionState:
         """Move to encoder readings (6,) in the assembly mode, as far as it exists."""
         before = self.state.shown
-        target = read_readings(before.machine.legs, before.machine.size, readings)
+        target = read_readings(before.machine, readings)
         # The physical mode is solved directly, without following a path.
-        shown = forward_physical(before.machine, target, near=None if physical(before) else before)
+        shown = forward_physical(before.machine, target, near=None if before.is_at_home else before)
         share = 1.0
         if not shown.exists:
             shown, share = last_on_line(before, target)
@@ -335,8 +335,8 @@ class ReadingUnit(NamedTuple):
 
 def reading_units(machine: Manipulator | Stage) -> list[ReadingUnit]:
     """Return the units of the readings shown: metres, for a stage millimetres, or degrees."""
-    length = ReadingUnit("mm", 1e3, 1) if isinstance(machine, Stage) else ReadingUnit("m", 1.0, 3)
-    units = {"m": length, "rad": ReadingUnit("°", math.degrees(1.0), 1)}
+    lengths = {"stage": ReadingUnit("mm", 1e3, 1), "spm": ReadingUnit("m", 1.0, 3)}
+    units = {"m": lengths[machine.file_stem], "rad": ReadingUnit("°", math.degrees(1.0), 1)}
     return [units[unit] for unit in machine.legs.units]
 
 

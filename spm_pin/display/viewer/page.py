@@ -115,8 +115,7 @@ class Viewer:
         warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
         with _silence():
             self.server = viser.ViserServer(host=host, port=free, verbose=False)
-        name = f"3-{self.start.stage.kind.name}" if isinstance(self.start, StageConfiguration) else "3RPS-3SPR"
-        self.server.gui.set_panel_label(name)
+        self.server.gui.set_panel_label(self.start.machine.architecture)
         self.server.on_client_connect(self._connected)
         self.server.on_client_disconnect(self._disconnected)
 

@@ -18,8 +18,10 @@ from spm_pin.display.viewer.model import Measure, excess_warnings, ranges_of_rea
 from spm_pin.display.writing import fixed
 from spm_pin.errors import SingularConfigurationError
 from spm_pin.kinematics import inverse_physical, leg_forces, singularities
+from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.path_following import existing_share
-from spm_pin.kinematics.stage_displacement import forward_physical, normals_of_request, read_stage_readings
+from spm_pin.kinematics.readings import read_readings
+from spm_pin.kinematics.stage_displacement import normals_of_request
 from spm_pin.machine import Stage, StageConfiguration
 from spm_pin.support.arguments import FloatArray, real_array
 from spm_pin.workspace import height_range, nearest_reachable_pose, reach
@@ -114,9 +116,12 @@ class StageModel:
 
     def set_readings(self, readings: npt.ArrayLike) -> StageState:
         """Move to encoder readings (3,) as far as the platform's mode exists."""
-        wanted = read_stage_readings(self._stage, readings)
-        before, solve = self.state.shown.readings, partial(forward_physical, self._stage)
-        share, shown = 1.0, solve(wanted)
+        wanted = read_readings(self._stage, readings)
+
+        def solve(readings: FloatArray) -> StageConfiguration:
+            return forward_physical(self._stage, readings)
+
+        before, share, shown = self.state.shown.readings, 1.0, solve(wanted)
         if not shown.exists:
             share = float(existing_share(solve, before, wanted[None])[0])
             shown = solve(before + share * (wanted - before)) if share else self.state.shown
