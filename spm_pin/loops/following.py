@@ -95,11 +95,11 @@ def residual(problem: Problem, q: FloatArray, s: float) -> FloatArray:
 
 
 def linearised(problem: Problem, q: FloatArray, s: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return left sides (m,), their Jacobian (m, p), and speeds and turns (closures, nv)."""
+    """Return left sides (m,), their Jacobian (m, p), and levers and turns (closures, nv)."""
     if problem.pose >= 0:
         problem.place(s)
     found = problem.kinematics.linearised(q)
-    return found.residual, found.jacobian[:, problem.columns], found.speeds, found.turns
+    return found.residual, found.jacobian[:, problem.columns], found.levers, problem.rows.turns
 
 
 def moved(problem: Problem, q: FloatArray, s: float, x: FloatArray) -> FloatArray:
