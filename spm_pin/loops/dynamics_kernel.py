@@ -327,7 +327,8 @@ def _largest(vector):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _accelerate(tree, q, v, forces, rank, regular, a):  # type: ignore[no-untyped-def]
+def _accelerate(tree, q, v, forces, rank, regular):  # type: ignore[no-untyped-def]
+    """Replace forces (nv,) by accelerations, and return True; or return False if an error is perhaps to be raised."""
     nv, count, held = len(v), len(tree.kinds), len(tree.held)
     rotations, origins = placed(tree, q)
     residual, jacobian, _, _ = linearised_at(tree, q, rotations, origins)
@@ -361,7 +362,7 @@ def _accelerate(tree, q, v, forces, rank, regular, a):  # type: ignore[no-untype
     _bias(tree, q, v, rotations, origins, twists, drifts, bias)
     # The least accelerations are the last column, beside the basis.
     free = nv - rank
-    x = np.zeros((nv, free + 1))
+    x, a = np.zeros((nv, free + 1)), np.empty(nv)
     for k in range(rank):
         part = -bias[order[k]]
         for i in range(k):
@@ -398,16 +399,24 @@ def _accelerate(tree, q, v, forces, rank, regular, a):  # type: ignore[no-untype
     for k in range(nv):
         for d in range(free):
             a[k] += x[k, d] * solution[d]
+        forces[k] = a[k]
     return True
 
 
-def _run(tree, q, v, forces, rank, regular, a):  # type: ignore[no-untyped-def]
-    """Write accelerations (nv,) under forces (nv,); return True if they were found and no error is to be raised.
+def _run(tree, q, v, forces, rank, regular):  # type: ignore[no-untyped-def]
+    """Replace the forces of all members by their accelerations; return False at the first that perhaps has an error.
 
-    The rank of the rows is computed if it is negative; `regular` is the number of degrees of freedom in regular
-    configurations: a larger one is a singularity.
+    q, v and forces are those of one member or several, flat. The rank of the rows is computed if it is negative;
+    `regular` is the number of degrees of freedom in regular configurations: a larger one is a singularity.
     """
-    return _accelerate(tree, q, v, forces, rank, regular, a)
+    nv = len(tree.units)
+    members = len(v) // nv
+    nq = len(q) // max(members, 1)
+    for k in range(members):
+        own = slice(k * nv, (k + 1) * nv)
+        if not _accelerate(tree, q[k * nq : (k + 1) * nq], v[own], forces[own], rank, regular):
+            return False
+    return True
 
 
 accelerate = Kernel(
