@@ -310,7 +310,7 @@ def _of_quaternion(x, y, z, w):  # type: ignore[no-untyped-def]
     )
 
 
-@inlined
+@jit
 def placed(tree, q):  # type: ignore[no-untyped-def]
     """Return rotation matrices (joints, 9) and origins (joints, 3) of the joints' frames in the world."""
     count = len(tree.kinds)
@@ -403,7 +403,7 @@ def _aim_pose(tree, s):  # type: ignore[no-untyped-def]
     _put(product(matrix(tree.frame_rotation, 0), transposed(rotation)), tree.end_rotations, end + 1)
 
 
-@inlined
+@jit
 def _equalities(tree, q, c):  # type: ignore[no-untyped-def]
     first = len(tree.forms)
     for k in range(len(tree.zeros)):
@@ -497,7 +497,7 @@ def linearised_at(tree, q, rotations, origins):  # type: ignore[no-untyped-def]
     return c, jacobian, levers, tree.turns
 
 
-@inlined
+@jit
 def _turn_quaternion(q, at, w):  # type: ignore[no-untyped-def]
     """Turn a quaternion, x y z w, in place by a rotation vector in its own frame."""
     angle = length(w)
