@@ -108,6 +108,15 @@ def make_follower(
     """
 
     @jit
+    def largest(vector):  # type: ignore[no-untyped-def]
+        return np.abs(vector).max() if len(vector) else 0.0
+
+    @jit
+    def point(x, bend, t):  # type: ignore[no-untyped-def]
+        """Return a point of a parabola from 0 to x, which is beside the chord by `bend` in its middle."""
+        return t * x + 4.0 * t * (1.0 - t) * bend
+
+    @jit
     def derivative(u, g, w, v, a, b):  # type: ignore[no-untyped-def]
         """Return the derivative of exp(u t + g t² / 2 + w y + v z) at 0, a times by t and by the first b of y, z."""
         last, result = 0.0, 1.0
@@ -229,15 +238,15 @@ def make_follower(
         for i in range(count):
             path[0, problem.columns[i]] += 4.0 * abs(bend[i])
             path[1, problem.columns[i]] = 8.0 * abs(bend[i])
-        c, middle, levers, turns = linearised(problem, moved(problem, q, half, 0.5 * x + bend), half)
-        largest = np.abs(product(mean, c))
-        for share in (0.25, 0.75):
-            s = done + share * (end - done)
-            along = product(mean, residual(problem, moved(problem, q, s, share * x + 0.75 * bend), s))
-            largest = np.maximum(largest, np.abs(along))
+        c, middle, levers, turns = linearised(problem, moved(problem, q, half, point(x, bend, 0.5)), half)
+        errors = np.abs(product(mean, c))
+        for t in (0.25, 0.75):
+            s = done + t * (end - done)
+            along = product(mean, residual(problem, moved(problem, q, s, point(x, bend, t)), s))
+            errors = np.maximum(errors, np.abs(along))
         sizes = sizes_of(problem, mean)
         bounds(problem, levers, turns, path, w, 5, 0, 0.5, bound)
-        eta = INNER * largest + QUINTIC * product(sizes, bound) + ROUNDING
+        eta = INNER * errors + QUINTIC * product(sizes, bound) + ROUNDING
         first, between, last = mean @ jacobian, mean @ middle, mean @ at_end
         for i in range(count):
             first[i, i] -= 1.0
@@ -252,14 +261,14 @@ def make_follower(
         x = np.zeros(len(problem.columns))
         tried = moved(problem, q, end, x)
         change = -product(inverse, residual(problem, tried, end))
-        size = np.abs(change).max() if len(change) else 0.0
+        size = largest(change)
         if not size <= LONGEST:
             return False, q, jacobian, inverse, off, size, 0.5 * LONGEST / size
         x += change
         tried, last = moved(problem, tried, end, change), max(size, 1e-300)
         if size > SHORT:
             change = -product(inverse, residual(problem, tried, end))
-            if not np.abs(change).max() <= 0.5 * size:
+            if not largest(change) <= 0.5 * size:
                 return False, q, jacobian, inverse, off, size, 0.5
             x += change
             tried = moved(problem, tried, end, change)
@@ -270,7 +279,7 @@ def make_follower(
         converged, away = False, 0.0
         for _ in range(MOST_CORRECTIONS):
             change = -product(new, c)
-            correction = np.abs(change).max() if len(change) else 0.0
+            correction = largest(change)
             if not correction <= max(0.5 * last, 1e-13):
                 break
             x += change
@@ -278,8 +287,8 @@ def make_follower(
             tried = moved(problem, tried, end, change)
             # The next correction is smaller by as much again: below rounding it is left out.
             if correction * min(1.0, correction / last) <= ROUNDING:
-                left = c + product(at_end, change)
-                converged = len(left) == 0 or np.abs(left).max() <= CLOSED
+                c += product(at_end, change)
+                converged = largest(c) <= CLOSED
                 break
             last = max(correction, 1e-300)
             if correction > FAR:
@@ -327,7 +336,7 @@ def make_follower(
         """Return the status of a start, and J and A there."""
         c, jacobian, _, _ = linearised(problem, q, 0.0)
         inverse, regular = left_inverse(jacobian)
-        if len(c) > 0 and not np.abs(c).max() <= ROUNDED:
+        if not largest(c) <= ROUNDED:
             return OPEN_START, jacobian, inverse
         return DONE if regular else SINGULAR_START, jacobian, inverse
 

@@ -413,8 +413,8 @@ def _run(tree, q, v, forces, rank, regular):  # type: ignore[no-untyped-def]
     members = len(v) // nv
     nq = len(q) // max(members, 1)
     for k in range(members):
-        own = slice(k * nv, (k + 1) * nv)
-        if not _accelerate(tree, q[k * nq : (k + 1) * nq], v[own], forces[own], rank, regular):
+        begin, end = k * nv, (k + 1) * nv
+        if not _accelerate(tree, q[k * nq : (k + 1) * nq], v[begin:end], forces[begin:end], rank, regular):
             return False
     return True
 
