@@ -94,6 +94,7 @@ class ClosedChain:
                 cause = "Pinocchio's dynamics are silently wrong otherwise. Add each joint before its parent's next one"
                 raise ArgumentError("model", "joints in depth-first order", repr(model.names[k]), cause)
         self.model = model.copy()
+        self._nq, self._is_flat = self.model.nq, self.model.nq == self.model.nv
         self.q0 = pin.neutral(self.model) if q0 is None else self._read_q(q0, "q0", single=True).copy()
         self.q0.flags.writeable = False
         self.closures, self.equalities = tuple(closures), tuple(equalities)
@@ -275,7 +276,7 @@ class ClosedChain:
         from spm_pin.loops.dynamics_kernel import accelerate
 
         zeros = np.zeros(self.model.nv)
-        accelerate.call(self.tree, self.q0.copy(), zeros, zeros, -1, -1, zeros.copy())
+        accelerate.call(self.tree, self.q0.copy(), zeros, zeros.copy(), -1, -1)
 
     @cached_property
     def tree(self) -> Any:
@@ -304,11 +305,10 @@ class ClosedChain:
 
     def _read_q(self, q: npt.ArrayLike, argument: str, *, single: bool = False) -> FloatArray:
         meaning = "joint values in rad and m in Pinocchio's order"
-        array = read_vectors(q, argument, self.model.nq, meaning)
+        array = read_vectors(q, argument, self._nq, meaning)
         if single and array.ndim != 1:
-            raise ArgumentError(argument, f"shape ({self.model.nq},), {meaning}", f"shape {array.shape}")
-        is_flat = self.model.nq == self.model.nv
-        if not (is_flat or array.ndim > 1 or pin.isNormalized(self.model, array, 1e-6)):
+            raise ArgumentError(argument, f"shape ({self._nq},), {meaning}", f"shape {array.shape}")
+        if not (self._is_flat or array.ndim > 1 or pin.isNormalized(self.model, array, 1e-6)):
             raise ArgumentError(
                 argument,
                 "quaternions of unit length",
@@ -320,10 +320,10 @@ class ClosedChain:
     def _follower(self, frame: str | None, chosen: tuple[int, ...]) -> Follower:
         """Return what follows actuated joints, or the pose of a frame, made once."""
         key = frame, chosen
-        with self._lock:
-            if key not in self._followers:
-                self._followers[key] = Follower(self, frame, chosen)
-            return self._followers[key]
+        if key not in self._followers:
+            with self._lock:
+                self._followers.setdefault(key, Follower(self, frame, chosen))
+        return self._followers[key]
 
     def _follow(
         self, follower: Follower, targets: FloatArray, axes: int, near: npt.ArrayLike | None, argument: str

@@ -41,10 +41,9 @@ class Linearised(NamedTuple):
     """Left sides (m,)."""
     jacobian: FloatArray
     """Derivatives by all joint velocities (m, nv), in units of `ConstraintRows.units`."""
-    speeds: FloatArray
-    """Speed of p2 that each velocity brings about (closures, nv)."""
-    turns: FloatArray
-    """Angular speed of frame 2 that each velocity brings about (closures, nv)."""
+    levers: FloatArray
+    """Speed of p2 that each velocity brings about, over its entry of `ConstraintRows.turns` if it turns (closures, nv).
+    """
 
 
 class ConstraintRows:
@@ -62,6 +61,10 @@ class ConstraintRows:
         Size of a step of order one of each velocity: 1 rad, or a fourth of a loop's length [m].
     signs : ndarray, shape (closures, nv)
         1 for velocities that move frame 2 alone, -1 for those that move frame 1 alone, 0 for the others.
+    turns : ndarray, shape (closures, nv)
+        Angular speed of frame 2 against frame 1 that each velocity brings about; it is the same in any configuration.
+    lever_scales : ndarray, shape (closures, nv)
+        Factors from the speeds of p2 to `Linearised.levers`.
     size : float
         Length of the longest loop [m].
     """
@@ -166,6 +169,8 @@ class ConstraintRows:
         for column in np.flatnonzero(is_slide):
             loops = self.loop_lengths[self.signs[:, column] != 0.0]
             self.units[column] = 0.25 * (loops.min() if len(loops) else self.size)
+        self.turns = np.abs(self.signs) * np.linalg.norm(self.screws[1], axis=1) * self.units
+        self.lever_scales = 4.0 / self.loop_lengths[:, None] / np.where(self.turns > 0.0, self.turns, 1.0)
         units = [0.25 * self.loop_lengths[f // FORMS] if f % FORMS < ROTATION else 1.0 for f in self.forms.tolist()]
         self.row_units = np.array([*units, *self.units[self.equality_places[:, 1]]])
 
@@ -306,9 +311,8 @@ class LoopKinematics:
         placed = rows.placements_of(self.data)
         jacobian = rows.jacobian(q, self.data, placed)
         scaled = rows.twists(self.data, placed) * rows.units
-        speeds = np.sqrt((scaled[:, :3] ** 2).sum(axis=1)) / (0.25 * rows.loop_lengths[:, None])
-        turns = np.sqrt((scaled[:, 3:] ** 2).sum(axis=1))
-        return Linearised(rows.left_sides(q, placed[2]) / rows.row_units, jacobian * self._columns, speeds, turns)
+        levers = np.sqrt((scaled[:, :3] ** 2).sum(axis=1)) * rows.lever_scales
+        return Linearised(rows.left_sides(q, placed[2]) / rows.row_units, jacobian * self._columns, levers)
 
     def open_closures(self, q: FloatArray) -> tuple[FloatArray, FloatArray, str]:
         """Return gaps [m] and angles [rad] of all closures, and the name of the one with the largest scaled error."""

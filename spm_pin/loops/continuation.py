@@ -2,9 +2,9 @@
 
 The path is parametrised by the share s from 0 to 1 of the change of the driven joints, or of the pose. Unknown are the
 other joints x, and the equations c(x, s) = 0 have a Jacobian J of full column rank: it may have more rows than columns,
-some of which depend on others. With A = (Jᵀ J)⁻¹ Jᵀ in one place of a step, A c(x, s) = 0 has as many equations as
-unknowns, and Krawczyk's theorem says where it has one solution. Where a box of radii r about the chord from the start
-to the end of the step, at every s, satisfies
+some of which depend on others. With A = (Jᵀ J)⁻¹ Jᵀ in one place of a step, or the mean of several, A c(x, s) = 0 has
+as many equations as unknowns, and Krawczyk's theorem says where it has one solution. Let x(t) be a curve from the start
+to the end of the step, straight or a parabola. Where a box of radii r about it, at every t from 0 to 1, satisfies
 
     |A c| + |A J - 1| r <= r,
 
@@ -12,26 +12,28 @@ one branch of solutions leads from the start to the end, J is regular all along,
 neither a fold nor another mode. All quantities are dimensionless, absolute values are of each element. Bounds:
 
 Let a joint j turn frame 2 of a closure by t_j and move its point by n_j per radian, or a slide by n_j per unit, at that
-place. In the order from frame 1 to frame 2, derivatives of p2 by several joints are no larger than the n_j of
-the last, whose direction the others only turn. With U_j the sum of t_i |u_i| up to j, and W_j that of displacements w,
-derivatives along u, a times, and w, b times, sum up to at most
+place. In the order from frame 1 to frame 2, derivatives of p2 by several joints are no larger than the n_j of the last,
+whose direction the others only turn. Let u_i and g_i bound the first and second derivatives of x_i(t), and w_i and v_i
+be displacements beside the curve. With the sums U, G, W and V of t_i u_i, t_i g_i, t_i w_i and t_i v_i up to j, and
 
-    Σ_j n_j (U_j^a W_j^b - U_(j-1)^a W_(j-1)^b),
+    D_j = derivative of exp(U t + G t² / 2 + W y + V z) at 0, a times by t and up to once by y and by z,
 
-and for a slide to what u_j and w_j add to the first order. On the way, n_j of a hinge grows by less than the
-exponential of all turns times the sum of all motions. Angles have U^a W^b of all joints. A step is safe
+the same derivatives of p2 sum up to at most Σ_j n_j / t_j (D_j - D_(j-1)), and those of the angles to D of all joints;
+a slide adds to the first order in what moves it. Away from there, the arms n_j / t_j grow by less than the exponential
+of all turns times the sum of all motions. A step is safe
 
-- if bounds from its end alone say so: c, zero at both ends, is at most 1/8 of its second derivative, and J changes by
-  no more than its first. That costs no evaluation, and is enough for a path that is sampled densely;
-- or if c in the quarters and J at the ends say so, with A of the middle and with bounds of the fifth derivative of c
-  and the third of J.
+- if bounds from its end alone say so: on a straight line c, zero at both ends, is at most 1/8 of its second derivative,
+  and J changes by no more than its first. That costs little, and is enough for a path that is sampled densely;
+- or if c in the quarters of a parabola, and J at its ends and in its middle, say so, with the mean of A at both ends
+  and bounds of the fifth derivative of c and the third of J. The parabola follows the branch: c is small on it.
 
-J of an end is that of the last iterate of Newton's method at which it was computed; boxes are wider by the distance.
+J of an end is that of the last iterate of Newton's method at which it was computed; J in a box is compared with it from
+as much further away.
 
 The theorem holds for hinges and slides, up to rounding errors, which are estimated. For ball, planar and free joints,
 whose displacements do not commute, and for joint equalities of a degree above one, whose curvature is not in the
-bounds, the test is a rule of thumb. Where c = 0 has rows that depend on
-others, a solution of A c = 0 is one of c = 0 as long as they do so; that c is zero is checked at the end of each step.
+bounds, the test is a rule of thumb. Where c = 0 has rows that depend on others, a solution of A c = 0 is one of c = 0
+as long as they do so; that c is zero is checked at the end of each step.
 
 The functions run in two ways, compiled on arrays and interpreted on Pinocchio; `make_follower` takes the functions that
 differ.
@@ -52,7 +54,7 @@ LONGEST = 1.0
 SHORTEST_STEP = 1e-7
 """Size of a step, dimensionless, below which a path ends: rounding errors become comparable to the step."""
 SHORTEST_SHARE = 2.0**-36
-FAR = 1e-3
+FAR = 3e-3
 """Size of a correction, dimensionless, after which J is computed anew."""
 MOST_CORRECTIONS = 12
 CLOSED, ROUNDED = 1e-10, 1e-9
@@ -65,8 +67,11 @@ INNER, QUINTIC = 1.87, 3.0e-5
 """Largest value of a polynomial of degree four that is zero at 0 and 1 and at most 1 in the quarters, and of the
 product of the distances from all five, over 5!: parts of c and of its fifth derivative."""
 CUBIC = 8.1e-3
-"""The same of three distances, over 3!, for what a parabola through 0, 1/2 and 1 leaves of J; where it is zero in the
-middle, it is nowhere larger than at the ends."""
+"""The same of three distances, over 3!, for what a parabola through 0, 1/2 and 1 leaves of J; it is nowhere larger than
+in the middle and at the larger end together."""
+SHORT = 0.05
+"""Size of a step, dimensionless, from which on bounds from its end alone hardly ever say that it is safe, and a second
+correction without J of the end costs less than computing J twice."""
 MOST_BOXES, HOPELESS = 8, 3.0
 """Boxes tried, and their largest radius, dimensionless; at turns of 9 rad in all bounds are far beyond it."""
 
@@ -91,7 +96,7 @@ def make_follower(
     residual : callable
         c (m,) of (problem, q, s).
     linearised : callable
-        c, J (m, p), and speeds and turns (closures, nv) of (problem, q, s).
+        c, J (m, p), and levers and turns (closures, nv) of (problem, q, s).
     moved : callable
         q of (problem, q, s, x): after unknown joints have moved by x (p,) from q, and with driven joints at s.
     left_inverse : callable
@@ -103,84 +108,96 @@ def make_follower(
     """
 
     @jit
-    def monomial(x, a, y, b):  # type: ignore[no-untyped-def]
-        """Return x^a y^b for small whole numbers, much faster than by `**`."""
-        result = 1.0
-        for _ in range(a):
-            result *= x
-        for _ in range(b):
-            result *= y
-        return result
+    def largest(vector):  # type: ignore[no-untyped-def]
+        return np.abs(vector).max() if len(vector) else 0.0
 
     @jit
-    def bounds(problem, speeds, turns, u, w, a, b, reach, found):  # type: ignore[no-untyped-def]
-        """Write bounds (2, closures) of derivatives of positions and angles, a times along u and b times along w.
+    def point(x, bend, t):  # type: ignore[no-untyped-def]
+        """Return a point of a parabola from 0 to x, which is beside the chord by `bend` in its middle."""
+        return t * x + 4.0 * t * (1.0 - t) * bend
 
-        Speeds are those at a share `reach` of u, and at w, from where bounds are to hold.
+    @jit
+    def derivative(u, g, w, v, a, b):  # type: ignore[no-untyped-def]
+        """Return the derivative of exp(u t + g t² / 2 + w y + v z) at 0, a times by t and by the first b of y, z."""
+        last, result = 0.0, 1.0
+        for k in range(a):
+            last, result = result, u * result + k * g * last
+        return result if b == 0 else result * w if b == 1 else result * w * v
+
+    @jit
+    def bounds(problem, levers, turns, path, w, a, b, reach, found):  # type: ignore[no-untyped-def]
+        """Write bounds (2 closures,) of derivatives of positions, then angles: a times by t, and by the first b of w.
+
+        `path` (2, nv) has u and g, `w` (2, nv) displacements beside the curve. Levers are those at a share `reach` of
+        the curve, and at the second w, from where bounds are to hold.
         """
-        for k in range(len(problem.first_rows)):
-            total, motion, all_u, all_w = 0.0, 0.0, 0.0, 0.0
+        u, g, w, v, loops = path[0], path[1], w[0], w[1], len(problem.first_rows)
+        for k in range(loops):
+            total, motion, all_u, all_g, all_w, all_v = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
             if k == problem.pose:
                 # A pose to be reached turns like one joint more; it does not move the frame's place.
                 all_u = problem.pose_turn[0] * problem.pose_share[0]
+            before = derivative(all_u, all_g, all_w, all_v, a, b)
             for place in range(problem.first_columns[k], problem.first_columns[k + 1]):
                 j = problem.loop_columns[place]
-                turn, speed, before = turns[k, j], speeds[k, j], monomial(all_u, a, all_w, b)
-                motion += speed * (reach * u[j] + w[j])
+                turn, lever = turns[k, j], levers[k, j]
                 if turn > 0.0:
-                    all_u, all_w = all_u + turn * u[j], all_w + turn * w[j]
-                    total += speed / turn * (monomial(all_u, a, all_w, b) - before)
+                    motion += lever * turn * (reach * u[j] + v[j])
+                    all_u, all_g = all_u + turn * u[j], all_g + turn * g[j]
+                    all_w, all_v = all_w + turn * w[j], all_v + turn * v[j]
+                    after = derivative(all_u, all_g, all_w, all_v, a, b)
+                    total += lever * (after - before)
+                    before = after
                 else:
                     # Without a turn before, a slide has no part in higher derivatives.
-                    total += speed * a * monomial(all_u, a - 1, all_w, b) * u[j]
-                    total += speed * b * monomial(all_u, a, all_w, b - 1) * w[j]
-            power = monomial(all_u, a, all_w, b)
-            found[0, k] = total + math.exp(min(reach * all_u + all_w, 9.0)) * motion * power
-            found[1, k] = power
-
-    @jit
-    def spread(sizes, bound):  # type: ignore[no-untyped-def]
-        """Return bounds (p,) of A times what has bounds (2, closures)."""
-        result = product(sizes[0], bound[0])
-        result += product(sizes[1], bound[1])
-        return result
+                    motion += lever * (reach * u[j] + v[j])
+                    if a > 0:
+                        total += lever * a * derivative(all_u, all_g, all_w, all_v, a - 1, b) * u[j]
+                    if a > 1:
+                        total += lever * (a * (a - 1) // 2) * derivative(all_u, all_g, all_w, all_v, a - 2, b) * g[j]
+                    if b == 1:
+                        total += lever * derivative(all_u, all_g, all_w, all_v, a, 0) * w[j]
+                    if b == 2:
+                        total += lever * derivative(all_u, all_g, all_w, all_v, a, 0) * (w[j] * all_v + v[j] * all_w)
+            found[k] = total + math.exp(min(reach * all_u + all_v, 9.0)) * motion * before
+            found[loops + k] = before
 
     @jit
     def sizes_of(problem, inverse):  # type: ignore[no-untyped-def]
-        """Return sizes (2, p, closures) of the parts of A that multiply positions and angles of each closure."""
+        """Return sizes (p, 2 closures) of the parts of A that multiply positions, then angles, of each closure."""
         count, loops = len(problem.columns), len(problem.first_rows)
-        sizes = np.zeros((2, count, loops))
+        sizes = np.zeros((count, 2 * loops))
         for i in range(count):
             for k in range(loops):
                 first, squares = problem.first_rows[k], 0.0
                 between = first + problem.position_counts[k]
                 for row in range(first, between):
                     squares += inverse[i, row] * inverse[i, row]
-                sizes[0, i, k] = math.sqrt(squares)
+                sizes[i, k] = math.sqrt(squares)
                 for row in range(between, first + problem.row_counts[k]):
-                    sizes[1, i, k] += abs(inverse[i, row])
+                    sizes[i, loops + k] += abs(inverse[i, row])
         return sizes
 
     @jit
-    def box(problem, sizes, speeds, turns, u, eta, change, weight, power, reach, off):  # type: ignore[no-untyped-def]
+    def box(problem, sizes, levers, turns, path, eta, change, weight, power, reach, off):  # type: ignore[no-untyped-def]
         """Return whether some radii satisfy the inequality, and by which factor a step may be longer or be shorter.
 
-        `change` bounds |A J - 1| on the chord, beside what `weight` times derivatives along u, `power` times, add; it
-        is empty where A J = 1. J and speeds are those at a distance of up to `off` from there.
+        `change` bounds |A J - 1| on the curve, beside what `weight` times derivatives, `power` times by t, add; it is
+        empty where A J = 1. J and levers are those at a distance of up to `off` from there.
         """
-        w, radii = np.zeros(len(u)), 1.5 * eta + 0.01 * eta.max()
+        w, radii = np.zeros(path.shape), 1.5 * eta + 0.01 * eta.max()
         fits, last, first, second = False, np.inf, 0.0, 0.0
-        bound = np.empty((2, len(problem.first_rows)))
+        bound = np.empty(2 * len(problem.first_rows))
         for _ in range(MOST_BOXES):
             for i in range(len(radii)):
-                w[problem.columns[i]] = radii[i] + off
-            bounds(problem, speeds, turns, u, w, power, 1, reach, bound)
-            linear = spread(sizes, bound)
+                w[0, problem.columns[i]], w[1, problem.columns[i]] = radii[i], radii[i] + off
+            bounds(problem, levers, turns, path, w, power, 1, reach, bound)
+            linear = product(sizes, bound)
             linear *= weight
             if len(change) > 0:
                 linear += product(change, radii)
-            bounds(problem, speeds, turns, u, w, 0, 2, reach, bound)
-            square = spread(sizes, bound)
+            bounds(problem, levers, turns, path, w, 0, 2, reach, bound)
+            square = product(sizes, bound)
             used, widest = 0.0, 0.0
             for i in range(len(radii)):
                 total = eta[i] + linear[i] + square[i]
@@ -197,41 +214,46 @@ def make_follower(
         return fits, 1.2 / (first + math.sqrt(first * first + 2.4 * second))
 
     @jit
-    def safety(problem, q, done, end, x, jacobian, at_end, inverse, speeds, turns, off):  # type: ignore[no-untyped-def]
+    def safety(problem, q, done, end, x, size, jacobian, at_start, at_end, inverse, levers, turns, off):  # type: ignore[no-untyped-def]
         """Return whether a step is safe, and the factor of the next one.
 
         J is of places at a distance of up to `off`, dimensionless, from the start and the end of the step.
         """
         count = len(problem.columns)
-        u, w = np.abs(problem.driven_rates) * (end - done), np.zeros(len(problem.driven_rates))
+        path, w = np.zeros((2, len(problem.driven_rates))), np.zeros((2, len(problem.driven_rates)))
+        path[0] = np.abs(problem.driven_rates) * (end - done)
         problem.pose_share[0] = end - done
         for i in range(count):
-            u[problem.columns[i]], w[problem.columns[i]] = abs(x[i]), off
-        sizes, bound = sizes_of(problem, inverse), np.empty((2, len(problem.first_rows)))
-        bounds(problem, speeds, turns, u, w, 2, 0, 1.0, bound)
-        eta = 0.125 * spread(sizes, bound) + ROUNDING
-        fits, factor = box(problem, sizes, speeds, turns, u, eta, np.empty((0, 0)), 1.0, 1, 1.0, off)
-        if fits:
-            return fits, factor
-        half = 0.5 * (done + end)
-        c, middle, speeds, turns = linearised(problem, moved(problem, q, half, 0.5 * x), half)
-        inverse, regular = left_inverse(middle)
-        if not regular:
-            return False, 0.5
-        largest = np.abs(product(inverse, c))
-        for share in (0.25, 0.75):
-            s = done + share * (end - done)
-            along = product(inverse, residual(problem, moved(problem, q, s, share * x), s))
-            largest = np.maximum(largest, np.abs(along))
-        sizes = sizes_of(problem, inverse)
-        bounds(problem, speeds, turns, u, w, 5, 0, 0.5, bound)
-        eta = INNER * largest + QUINTIC * spread(sizes, bound) + ROUNDING
-        first, last = inverse @ jacobian, inverse @ at_end
+            path[0, problem.columns[i]], w[1, problem.columns[i]] = abs(x[i]), off
+        bound = np.empty(2 * len(problem.first_rows))
+        if size <= SHORT:
+            sizes = sizes_of(problem, inverse)
+            bounds(problem, levers, turns, path, w, 2, 0, 1.0, bound)
+            eta = 0.125 * product(sizes, bound) + ROUNDING
+            fits, factor = box(problem, sizes, levers, turns, path, eta, np.empty((0, 0)), 1.0, 1, 1.0, off)
+            if fits:
+                return fits, factor
+        half, mean = 0.5 * (done + end), 0.5 * (at_start + inverse)
+        bend = -product(mean, residual(problem, moved(problem, q, half, 0.5 * x), half))
+        for i in range(count):
+            path[0, problem.columns[i]] += 4.0 * abs(bend[i])
+            path[1, problem.columns[i]] = 8.0 * abs(bend[i])
+        c, middle, levers, turns = linearised(problem, moved(problem, q, half, point(x, bend, 0.5)), half)
+        errors = np.abs(product(mean, c))
+        for t in (0.25, 0.75):
+            s = done + t * (end - done)
+            along = product(mean, residual(problem, moved(problem, q, s, point(x, bend, t)), s))
+            errors = np.maximum(errors, np.abs(along))
+        sizes = sizes_of(problem, mean)
+        bounds(problem, levers, turns, path, w, 5, 0, 0.5, bound)
+        eta = INNER * errors + QUINTIC * product(sizes, bound) + ROUNDING
+        first, between, last = mean @ jacobian, mean @ middle, mean @ at_end
         for i in range(count):
             first[i, i] -= 1.0
+            between[i, i] -= 1.0
             last[i, i] -= 1.0
-        change = np.maximum(np.abs(first), np.abs(last))
-        return box(problem, sizes, speeds, turns, u, eta, change, CUBIC, 3, 0.5, off)
+        change = np.maximum(np.abs(first), np.abs(last)) + np.abs(between)
+        return box(problem, sizes, levers, turns, path, eta, change, CUBIC, 3, 0.5, off)
 
     @jit
     def step(problem, q, done, end, jacobian, inverse, off):  # type: ignore[no-untyped-def]
@@ -239,19 +261,25 @@ def make_follower(
         x = np.zeros(len(problem.columns))
         tried = moved(problem, q, end, x)
         change = -product(inverse, residual(problem, tried, end))
-        size = np.abs(change).max() if len(change) else 0.0
+        size = largest(change)
         if not size <= LONGEST:
             return False, q, jacobian, inverse, off, size, 0.5 * LONGEST / size
         x += change
-        tried = moved(problem, tried, end, change)
-        c, at_end, speeds, turns = linearised(problem, tried, end)
+        tried, last = moved(problem, tried, end, change), max(size, 1e-300)
+        if size > SHORT:
+            change = -product(inverse, residual(problem, tried, end))
+            if not largest(change) <= 0.5 * size:
+                return False, q, jacobian, inverse, off, size, 0.5
+            x += change
+            tried = moved(problem, tried, end, change)
+        c, at_end, levers, turns = linearised(problem, tried, end)
         new, regular = left_inverse(at_end)
         if not regular:
             return False, q, jacobian, inverse, off, size, 0.5
-        last, converged, away = max(size, 1e-300), False, 0.0
+        converged, away = False, 0.0
         for _ in range(MOST_CORRECTIONS):
             change = -product(new, c)
-            correction = np.abs(change).max() if len(change) else 0.0
+            correction = largest(change)
             if not correction <= max(0.5 * last, 1e-13):
                 break
             x += change
@@ -259,11 +287,12 @@ def make_follower(
             tried = moved(problem, tried, end, change)
             # The next correction is smaller by as much again: below rounding it is left out.
             if correction * min(1.0, correction / last) <= ROUNDING:
-                converged = len(c) == 0 or np.abs(c).max() <= max(CLOSED, 2.0 * correction)
+                c += product(at_end, change)
+                converged = largest(c) <= CLOSED
                 break
             last = max(correction, 1e-300)
             if correction > FAR:
-                c, at_end, speeds, turns = linearised(problem, tried, end)
+                c, at_end, levers, turns = linearised(problem, tried, end)
                 new, regular = left_inverse(at_end)
                 if not regular:
                     break
@@ -274,7 +303,9 @@ def make_follower(
             return False, q, jacobian, inverse, off, size, 0.5
         if size <= 1e-12 or len(x) == 0:
             return True, tried, at_end, new, away, size, 4.0
-        safe, factor = safety(problem, q, done, end, x, jacobian, at_end, new, speeds, turns, max(off, away))
+        safe, factor = safety(
+            problem, q, done, end, x, size, jacobian, inverse, at_end, new, levers, turns, max(off, away)
+        )
         return safe, tried, at_end, new, away, size, factor
 
     @jit
@@ -305,7 +336,7 @@ def make_follower(
         """Return the status of a start, and J and A there."""
         c, jacobian, _, _ = linearised(problem, q, 0.0)
         inverse, regular = left_inverse(jacobian)
-        if len(c) > 0 and not np.abs(c).max() <= ROUNDED:
+        if not largest(c) <= ROUNDED:
             return OPEN_START, jacobian, inverse
         return DONE if regular else SINGULAR_START, jacobian, inverse
 

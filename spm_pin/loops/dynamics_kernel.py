@@ -17,7 +17,9 @@ from spm_pin.loops.null_space import INDEPENDENT
 from spm_pin.loops.state_kinematics import AGREEMENT, COMPATIBLE, DEPENDENCE
 from spm_pin.loops.tree_kernel import (
     Kernel,
+    angular_of,
     axes_of,
+    cross,
     inlined,
     jit,
     left_side,
@@ -31,28 +33,13 @@ from spm_pin.loops.tree_kernel import (
     times,
     transposed,
     vector,
+    write,
 )
-
-
-@inlined
-def _cross(x, y):  # type: ignore[no-untyped-def]
-    return x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0]
 
 
 @inlined
 def _dot(x, y):  # type: ignore[no-untyped-def]
     return x[0] * y[0] + x[1] * y[1] + x[2] * y[2]
-
-
-@inlined
-def _angular(array, k):  # type: ignore[no-untyped-def]
-    return array[k, 3], array[k, 4], array[k, 5]
-
-
-@inlined
-def _write(array, k, linear, angular):  # type: ignore[no-untyped-def]
-    array[k, 0], array[k, 1], array[k, 2] = linear
-    array[k, 3], array[k, 4], array[k, 5] = angular
 
 
 @inlined
@@ -65,13 +52,13 @@ def _add_multiple(array, k, factor, other, i):  # type: ignore[no-untyped-def]
 def _wrench(bodies, k, linear, angular):  # type: ignore[no-untyped-def]
     """Return the inertia of a body times a twist."""
     b, moment = bodies, (bodies[k, 1], bodies[k, 2], bodies[k, 3])
-    force = plus(scaled(linear, b[k, 0]), _cross(angular, moment))
+    force = plus(scaled(linear, b[k, 0]), cross(angular, moment))
     turning = (
         b[k, 4] * angular[0] + b[k, 5] * angular[1] + b[k, 6] * angular[2],
         b[k, 5] * angular[0] + b[k, 7] * angular[1] + b[k, 8] * angular[2],
         b[k, 6] * angular[0] + b[k, 8] * angular[1] + b[k, 9] * angular[2],
     )
-    return force, plus(turning, _cross(moment, linear))
+    return force, plus(turning, cross(moment, linear))
 
 
 @inlined
@@ -101,20 +88,20 @@ def _motion(tree, rotations, origins, v, columns, twists, drifts, bodies):  # ty
         linear, angular = zero, zero
         while k < len(v) and tree.joints[k] == joint:
             w = times(rotation, vector(tree.angular, k))
-            along = plus(times(rotation, vector(tree.linear, k)), _cross(arm, w))
-            _write(columns, k, along, w)
+            along = plus(times(rotation, vector(tree.linear, k)), cross(arm, w))
+            write(columns, k, along, w)
             linear, angular = plus(linear, scaled(along, v[k])), plus(angular, scaled(w, v[k]))
             k += 1
         if parent >= 0:
-            old_linear, old_angular = vector(twists, parent), _angular(twists, parent)
-            turned = plus(_cross(old_angular, linear), _cross(old_linear, angular))
+            old_linear, old_angular = vector(twists, parent), angular_of(twists, parent)
+            turned = plus(cross(old_angular, linear), cross(old_linear, angular))
             drift = plus(vector(drifts, parent), turned)
-            drift_angular = plus(_angular(drifts, parent), _cross(old_angular, angular))
+            drift_angular = plus(angular_of(drifts, parent), cross(old_angular, angular))
             linear, angular = plus(old_linear, linear), plus(old_angular, angular)
-            _write(drifts, joint, drift, drift_angular)
+            write(drifts, joint, drift, drift_angular)
         else:
-            _write(drifts, joint, zero, zero)
-        _write(twists, joint, linear, angular)
+            write(drifts, joint, zero, zero)
+        write(twists, joint, linear, angular)
         mass, c = tree.masses[joint], plus(times(rotation, vector(tree.levers, joint)), arm)
         own = product(product(rotation, matrix(tree.inertias, joint)), transposed(rotation))
         bodies[joint, 0] = mass
@@ -130,7 +117,7 @@ def _motion(tree, rotations, origins, v, columns, twists, drifts, bodies):  # ty
 def _of_body(array, joint):  # type: ignore[no-untyped-def]
     """Return the parts of the twist of a body, zero for the universe."""
     if joint >= 0:
-        return vector(array, joint), _angular(array, joint)
+        return vector(array, joint), angular_of(array, joint)
     return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
 
 
@@ -148,9 +135,9 @@ def _bias(tree, q, rates, rotations, origins, twists, drifts, bias):  # type: ig
         v, w = plus(v2, scaled(v1, -1.0)), plus(w2, scaled(w1, -1.0))
         drift, turning = plus(drift2, scaled(drift1, -1.0)), plus(turning2, scaled(turning1, -1.0))
         p = plus(point_of(tree, rotations, origins, loop, 1), scaled(center, -1.0))
-        gap = plus(drift, _cross(turning, p))
-        gap = plus(gap, _cross(w, plus(v2, _cross(w2, p))))
-        gap = times(axes, plus(gap, scaled(_cross(w1, plus(v, _cross(w, p))), -1.0)))
+        gap = plus(drift, cross(turning, p))
+        gap = plus(gap, cross(w, plus(v2, cross(w2, p))))
+        gap = times(axes, plus(gap, scaled(cross(w1, plus(v, cross(w, p))), -1.0)))
         r = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         if tree.position_counts[loop] < tree.row_counts[loop]:
             a, x, x1, x2 = times(axes, turning), times(axes, w), times(axes, w1), times(axes, w2)
@@ -272,21 +259,21 @@ def _project(tree, columns, twists, drifts, bodies, x, a, moved, forces):  # typ
             _add_multiple(columns, nv + joint, 1.0, columns, nv + tree.parents[joint])
         _add_multiple(columns, nv + joint, a[k], columns, k)
     for joint in range(count):
-        linear, angular = vector(twists, joint), _angular(twists, joint)
+        linear, angular = vector(twists, joint), angular_of(twists, joint)
         force, turning = _wrench(bodies, joint, linear, angular)
-        rate, rate_angular = vector(drifts, joint), _angular(drifts, joint)
+        rate, rate_angular = vector(drifts, joint), angular_of(drifts, joint)
         rate = plus(plus(rate, vector(columns, nv + joint)), scaled(vector(tree.gravity, 0), -1.0))
-        rate_angular = plus(rate_angular, _angular(columns, nv + joint))
+        rate_angular = plus(rate_angular, angular_of(columns, nv + joint))
         wrench, moment = _wrench(bodies, joint, rate, rate_angular)
-        wrench = plus(wrench, _cross(angular, force))
-        moment = plus(plus(moment, _cross(angular, turning)), _cross(linear, force))
-        _write(wrenches, joint, wrench, moment)
+        wrench = plus(wrench, cross(angular, force))
+        moment = plus(plus(moment, cross(angular, turning)), cross(linear, force))
+        write(wrenches, joint, wrench, moment)
     k = nv - 1
     for joint in range(count - 1, -1, -1):
         parent = tree.parents[joint]
         while k >= 0 and tree.joints[k] == joint:
-            along, w = vector(columns, k), _angular(columns, k)
-            wrench, moment = vector(wrenches, joint), _angular(wrenches, joint)
+            along, w = vector(columns, k), angular_of(columns, k)
+            wrench, moment = vector(wrenches, joint), angular_of(wrenches, joint)
             forces[k] -= _dot(along, wrench) + _dot(w, moment) + tree.armatures[k] * a[k]
             force, turning = _wrench(bodies, joint, along, w)
             mass = _dot(along, force) + _dot(w, turning) + tree.armatures[k]
@@ -294,7 +281,7 @@ def _project(tree, columns, twists, drifts, bodies, x, a, moved, forces):  # typ
                 moved[k, d] += mass * x[k, d]
             i = tree.carriers[k]
             while i >= 0:
-                mass = _dot(vector(columns, i), force) + _dot(_angular(columns, i), turning)
+                mass = _dot(vector(columns, i), force) + _dot(angular_of(columns, i), turning)
                 for d in range(free):
                     moved[k, d] += mass * x[i, d]
                     moved[i, d] += mass * x[k, d]
@@ -340,7 +327,8 @@ def _largest(vector):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _accelerate(tree, q, v, forces, rank, regular, a):  # type: ignore[no-untyped-def]
+def _accelerate(tree, q, v, forces, rank, regular):  # type: ignore[no-untyped-def]
+    """Replace forces (nv,) by accelerations, and return True; or return False if an error is perhaps to be raised."""
     nv, count, held = len(v), len(tree.kinds), len(tree.held)
     rotations, origins = placed(tree, q)
     residual, jacobian, _, _ = linearised_at(tree, q, rotations, origins)
@@ -374,7 +362,7 @@ def _accelerate(tree, q, v, forces, rank, regular, a):  # type: ignore[no-untype
     _bias(tree, q, v, rotations, origins, twists, drifts, bias)
     # The least accelerations are the last column, beside the basis.
     free = nv - rank
-    x = np.zeros((nv, free + 1))
+    x, a = np.zeros((nv, free + 1)), np.empty(nv)
     for k in range(rank):
         part = -bias[order[k]]
         for i in range(k):
@@ -411,16 +399,24 @@ def _accelerate(tree, q, v, forces, rank, regular, a):  # type: ignore[no-untype
     for k in range(nv):
         for d in range(free):
             a[k] += x[k, d] * solution[d]
+        forces[k] = a[k]
     return True
 
 
-def _run(tree, q, v, forces, rank, regular, a):  # type: ignore[no-untyped-def]
-    """Write accelerations (nv,) under forces (nv,); return True if they were found and no error is to be raised.
+def _run(tree, q, v, forces, rank, regular):  # type: ignore[no-untyped-def]
+    """Replace the forces of all members by their accelerations; return False at the first that perhaps has an error.
 
-    The rank of the rows is computed if it is negative; `regular` is the number of degrees of freedom in regular
-    configurations: a larger one is a singularity.
+    q, v and forces are those of one member or several, flat. The rank of the rows is computed if it is negative;
+    `regular` is the number of degrees of freedom in regular configurations: a larger one is a singularity.
     """
-    return _accelerate(tree, q, v, forces, rank, regular, a)
+    nv = len(tree.units)
+    members = len(v) // nv
+    nq = len(q) // max(members, 1)
+    for k in range(members):
+        begin, end = k * nv, (k + 1) * nv
+        if not _accelerate(tree, q[k * nq : (k + 1) * nq], v[begin:end], forces[begin:end], rank, regular):
+            return False
+    return True
 
 
 accelerate = Kernel(

@@ -22,6 +22,7 @@ from spm_pin.support.arguments import BoolArray, FloatArray, IntArray
 FEW = 64
 """Largest number of targets that Pinocchio and NumPy solve, in about a millisecond each, if the kernel is not loaded.
 Loading takes half a second, compiling about 20 s."""
+_KERNEL = "spm_pin.loops.tree_kernel"
 DEPENDENT = 1e-7
 """Singular values of a Jacobian below this, relative to the largest, are zero when an error is explained."""
 
@@ -95,11 +96,11 @@ def residual(problem: Problem, q: FloatArray, s: float) -> FloatArray:
 
 
 def linearised(problem: Problem, q: FloatArray, s: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return left sides (m,), their Jacobian (m, p), and speeds and turns (closures, nv)."""
+    """Return left sides (m,), their Jacobian (m, p), and levers and turns (closures, nv)."""
     if problem.pose >= 0:
         problem.place(s)
     found = problem.kinematics.linearised(q)
-    return found.residual, found.jacobian[:, problem.columns], found.speeds, found.turns
+    return found.residual, found.jacobian[:, problem.columns], found.levers, problem.rows.turns
 
 
 def moved(problem: Problem, q: FloatArray, s: float, x: FloatArray) -> FloatArray:
@@ -202,9 +203,9 @@ class Follower:
 
     def run(self, starts: FloatArray, targets: FloatArray, is_path: bool) -> FloatArray:
         """Return q (n, nq) of n targets: from the start (nq,) along all, or each from its own (n, nq)."""
-        results = np.empty((len(targets), self.chain.model.nq))
+        results = np.empty((len(targets), starts.shape[-1]))
         starts, k, status, done, steps = np.array(starts, order="C", ndmin=2), 0, 0, 1.0, 0
-        kernel = _kernel() if len(targets) > FEW else sys.modules.get(f"{__package__}.tree_kernel")
+        kernel = _kernel() if len(targets) > FEW else sys.modules.get(_KERNEL)
         if kernel is not None and (kernel.run.is_loaded or len(targets) > FEW):
             aims = np.array(targets, order="C").reshape(len(targets), self._width)
             k, status, done, steps = kernel.run.call(self._tree(kernel), starts, aims, is_path, results)

@@ -256,8 +256,9 @@ class _Run:
             return self._points.accelerations(q, v, forces), tau, float(forces @ v)
         # A run ends with rates that are too large, or not finite.
         with np.errstate(over="ignore", invalid="ignore"):
-            a = kinematics.compiled_accelerations(v, forces)
-            return kinematics.accelerations(v, forces) if a is None else a, tau, float(forces @ v)
+            power = float(forces @ v)
+            is_done = kinematics.accelerate(q, v, forces)
+            return forces if is_done else kinematics.accelerations(v, forces), tau, power
 
     def record(self, t: float, y: FloatArray, act: Any) -> None:
         """Record the motion at a time."""

@@ -15,13 +15,14 @@ from spm_pin.loops.batched_state import BatchedState, Result, ResultShape
 from spm_pin.loops.mobility import check_regular
 from spm_pin.loops.state_kinematics import (
     AGREEMENT,
+    JOINT_VALUES,
     StateKinematics,
     frame_index,
     largest,
     read_joint_values,
     read_vectors,
 )
-from spm_pin.support.arguments import FloatArray
+from spm_pin.support.arguments import FloatArray, broadcastable
 
 MANY = 5000
 """Largest batch whose dynamics are computed by Pinocchio and NumPy, in about a second, if the kernel is not loaded."""
@@ -46,14 +47,14 @@ class TreeState(BatchedState):
 
     def __init__(self, chain: Any, kinematics: StateKinematics) -> None:
         super().__init__(chain.model.nv)
-        self._chain, self.kinematics = chain, kinematics
+        self._chain, self.kinematics, self._is_flat = chain, kinematics, chain.model.nq == chain.model.nv
         self._q, self._v = kinematics.q, kinematics.zero_velocity
 
     def update(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> Self:
         """Move to other joint values (..., nq) and velocities (..., nv), zero by default; return this state."""
         joints, rates = self._read_q(q), self.kinematics.zero_velocity
         if v is not None:
-            rates = read_vectors(v, "v", rates.size, "rates of the joints in Pinocchio's order").copy()
+            rates = read_vectors(v, "v", self._nv, "rates of the joints in Pinocchio's order").copy()
         if joints.ndim == rates.ndim == 1:
             self._batch, self._q, self._v = (), joints.copy(), rates
             self._move(self._q, rates)
@@ -62,6 +63,8 @@ class TreeState(BatchedState):
         return self
 
     def _read_q(self, q: npt.ArrayLike) -> FloatArray:
+        if self._is_flat:
+            return read_vectors(q, "q", self._nv, JOINT_VALUES)
         return read_joint_values(self._chain.model, q)
 
     def _move(self, q: FloatArray, v: FloatArray) -> None:
@@ -113,11 +116,10 @@ class TreeState(BatchedState):
     def _accelerations(self, tau: FloatArray, frames: list[int], loads: tuple[FloatArray, ...]) -> FloatArray:
         """Return the accelerations of a single state under actuators (n,) and wrenches at frames."""
         forces = self._forces(tau, frames, loads)
-        a = self.kinematics.compiled_accelerations(self._rates, forces)
-        if a is None:
-            self._check_closed()
-            a = self.kinematics.accelerations(self._rates, forces)
-        return a
+        if self.kinematics.accelerate(self.kinematics.q, self._rates, forces):
+            return forces
+        self._check_closed()
+        return self.kinematics.accelerations(self._rates, forces)
 
     def _actuator_forces(self, a: FloatArray, frames: list[int], loads: tuple[FloatArray, ...]) -> FloatArray:
         """Return the forces of the actuators (n,) for accelerations (nv,) of a single state."""
@@ -285,7 +287,17 @@ class LoopState(TreeState):
         frames, arrays = self._read_wrenches(wrenches)
         if max(math.prod(self._batch), math.prod(values.shape[:-1])) > MANY:
             self._chain.compile_dynamics()
-        return self._each_member(member, (self._nv,), tau=values, **arrays)
+        accelerations = self._compiled_batch(values) if wrenches is None else None
+        return self._each_member(member, (self._nv,), tau=values, **arrays) if accelerations is None else accelerations
+
+    def _compiled_batch(self, tau: FloatArray) -> FloatArray | None:
+        """Return the accelerations of a batch; None if nothing is compiled, or a member perhaps has an error."""
+        batch = broadcastable("tau", tau.shape[:-1], "the other arguments", self._batch)
+        q, v = (np.broadcast_to(x, (*batch, x.shape[-1])).reshape(-1) for x in (self._q, self._v))
+        forces = np.zeros((*batch, self._nv))
+        forces[..., self.kinematics.actuated] = tau
+        self.failures = {}
+        return forces if self.kinematics.accelerate(q, v, forces.reshape(-1)) else None
 
     def inverse_dynamics(self, a: npt.ArrayLike, wrenches: Mapping[str, npt.ArrayLike] | None = None) -> FloatArray:
         """Return the forces of the actuators (..., n) [N, N m] for a motion under gravity, inertia and wrenches.

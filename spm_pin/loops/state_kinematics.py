@@ -39,9 +39,11 @@ DETERMINED = 1e-9
 COMPATIBLE = 1e-6
 """Largest disagreement of dependent rows on accelerations, relative to the terms; more at a singularity."""
 
+JOINT_VALUES = "joint values in rad and m in Pinocchio's order"
 LEAST_INERTIA = 1e-9
 """Smallest eigenvalue of the tree's mass matrix, relative to the largest, at which motions of the tree have inertia."""
 
+_DOUBLE = np.dtype(np.float64)
 _HATS = np.zeros((6, 16))
 """Rows of 4 x 4 matrices of the unit twists."""
 _HATS[[0, 1, 2], [3, 7, 11]] = 1.0
@@ -115,7 +117,7 @@ class StateKinematics:
         for moved, (first, _) in zip(self._first, rows.joints, strict=True):
             for joint in [self.model.joints[j] for j in list(self.model.supports[first])[1:]]:
                 moved[joint.idx_v : joint.idx_v + joint.nv] = 1.0
-        self._accelerate: Any = None
+        self._compiled: Any = None
         self._bare = 0  # number of attributes while no member is cached
         self._bare = len(self.__dict__)
 
@@ -304,15 +306,18 @@ class StateKinematics:
             raise SingularConfigurationError("constraint", self.space.least)
         return least
 
-    def compiled_accelerations(self, v: FloatArray, forces: FloatArray) -> FloatArray | None:
-        """Return the same as `accelerations`, or None: nothing is compiled, or the state is not regular and closed."""
-        if self._accelerate is None:
+    def accelerate(self, q: FloatArray, v: FloatArray, forces: FloatArray) -> bool:
+        """Replace forces by `accelerations` of one member or several, flat arrays; return whether it is done.
+
+        It is not if nothing is compiled, or a state is not regular and closed.
+        """
+        if self._compiled is None:
             kernel = sys.modules.get(f"{__package__}.dynamics_kernel")
             if kernel is None or not kernel.accelerate.is_loaded:
-                return None
-            self._accelerate = kernel.accelerate.call
-        a, chain, rank = np.empty(v.size), self._chain, -1 if self.rank is None else self.rank
-        return a if self._accelerate(chain.tree, self.q, v, forces, rank, chain.regular_dof, a) else None
+                return False
+            self._compiled = kernel.accelerate.call
+        chain, rank = self._chain, -1 if self.rank is None else self.rank
+        return bool(self._compiled(chain.tree, q, v, forces, rank, chain.regular_dof))
 
     def accelerations(self, v: FloatArray, forces: FloatArray) -> FloatArray:
         """Return the joint accelerations (nv,) under generalized forces (nv,), gravity and the closures' forces."""
@@ -349,7 +354,7 @@ def frame_index(model: Any, name: str) -> int:
 
 def read_joint_values(model: Any, q: npt.ArrayLike, argument: str = "q") -> FloatArray:
     """Return joint values (..., nq) with quaternions of length one, or raise `ArgumentError`."""
-    array = read_vectors(q, argument, model.nq, "joint values in rad and m in Pinocchio's order")
+    array = read_vectors(q, argument, model.nq, JOINT_VALUES)
     if model.nq == model.nv:
         return array
     if array.ndim == 1 and pin.isNormalized(model, array, 1e-6):
@@ -365,7 +370,7 @@ def read_joint_values(model: Any, q: npt.ArrayLike, argument: str = "q") -> Floa
 
 def read_vectors(value: npt.ArrayLike, argument: str, size: int, meaning: str) -> FloatArray:
     """Return vectors (..., size) as float64, or raise `ArgumentError`."""
-    if type(value) is np.ndarray and value.shape == (size,) and value.dtype == np.float64:
+    if type(value) is np.ndarray and value.shape == (size,) and value.dtype is _DOUBLE:
         # For the single vectors of control loops an eighth of the time of NumPy's own tests.
         return value if math.isfinite(sum(value.tolist())) else finite_array(value, argument, (size,), meaning)
     return real_array(value, argument, (size,), meaning)

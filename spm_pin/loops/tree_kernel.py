@@ -44,6 +44,8 @@ _KINDS |= dict.fromkeys(("RUBX", "RUBY", "RUBZ", "RevoluteUnboundedUnaligned"), 
 _LOG = logging.getLogger("spm_pin")
 
 jit: Any = register_jitable(error_model="numpy")
+summing: Any = register_jitable(error_model="numpy", fastmath={"reassoc", "contract"})
+"""For sums whose order does not matter, so that the compiler vectorises them."""
 inlined: Any = register_jitable(error_model="numpy", forceinline=True)
 """For small functions of small arrays, of which the compiler then keeps the elements in registers."""
 
@@ -80,7 +82,8 @@ def tree_of(problem: Any, held: IntArray | tuple[()] = ()) -> SimpleNamespace:
         carriers=whole(rows.model.createData().parents_fromRow),
         units=stacked(rows.units),
         ends=whole(rows.joints).reshape(-1, 2) - 1,
-        scales=stacked(0.25 * rows.loop_lengths),
+        turns=np.array(rows.turns, order="C"),
+        lever_scales=np.array(rows.lever_scales, order="C"),
         first_columns=whole(problem.first_columns),
         loop_columns=whole(problem.loop_columns),
         loop_signs=stacked(
@@ -193,6 +196,19 @@ def vector(array, k):  # type: ignore[no-untyped-def]
 
 
 @inlined
+def angular_of(array, k):  # type: ignore[no-untyped-def]
+    """Return the last three of the six numbers of a row."""
+    return array[k, 3], array[k, 4], array[k, 5]
+
+
+@inlined
+def write(array, k, linear, angular):  # type: ignore[no-untyped-def]
+    """Write the six numbers of a row."""
+    array[k, 0], array[k, 1], array[k, 2] = linear
+    array[k, 3], array[k, 4], array[k, 5] = angular
+
+
+@inlined
 def matrix(array, k):  # type: ignore[no-untyped-def]
     """Return a rotation matrix, row by row, of the first nine numbers of a row."""
     m = array
@@ -250,6 +266,12 @@ def scaled(x, k):  # type: ignore[no-untyped-def]
 
 
 @inlined
+def cross(x, y):  # type: ignore[no-untyped-def]
+    """Return the cross product of two vectors."""
+    return x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0]
+
+
+@inlined
 def length(x):  # type: ignore[no-untyped-def]
     """Return the length of a vector."""
     return math.sqrt(x[0] * x[0] + x[1] * x[1] + x[2] * x[2])
@@ -288,7 +310,7 @@ def _of_quaternion(x, y, z, w):  # type: ignore[no-untyped-def]
     )
 
 
-@inlined
+@jit
 def placed(tree, q):  # type: ignore[no-untyped-def]
     """Return rotation matrices (joints, 9) and origins (joints, 3) of the joints' frames in the world."""
     count = len(tree.kinds)
@@ -353,14 +375,8 @@ def left_side(form, gap, r):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _derivative(form, v, w, r):  # type: ignore[no-untyped-def]
-    """Return the rate of a left side where frame 2 moves against frame 1 at (v, w)."""
-    if form == 0:
-        return v[0]
-    if form == 1:
-        return v[1]
-    if form == 2:
-        return v[2]
+def _turning(form, w, r):  # type: ignore[no-untyped-def]
+    """Return the rate of a left side, not of a position, where frame 2 turns against frame 1 at w."""
     if form == 3:
         return 0.5 * ((r[4] + r[8]) * w[0] - r[1] * w[1] - r[2] * w[2])
     if form == 4:
@@ -387,7 +403,7 @@ def _aim_pose(tree, s):  # type: ignore[no-untyped-def]
     _put(product(matrix(tree.frame_rotation, 0), transposed(rotation)), tree.end_rotations, end + 1)
 
 
-@inlined
+@jit
 def _equalities(tree, q, c):  # type: ignore[no-untyped-def]
     first = len(tree.forms)
     for k in range(len(tree.zeros)):
@@ -400,20 +416,28 @@ def _equalities(tree, q, c):  # type: ignore[no-untyped-def]
         c[first + k] = (q[joint] - tree.zeros[k, 0] - value) / tree.row_units[first + k]
 
 
+@inlined
+def _left_sides(tree, rotations, origins, loop, axes, p2, c):  # type: ignore[no-untyped-def]
+    """Write the left sides of the equations of a closure, and return the rotation matrix of frame 2 in frame 1."""
+    gap = times(axes, plus(p2, scaled(point_of(tree, rotations, origins, loop, 0), -1.0)))
+    r = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    if tree.position_counts[loop] < tree.row_counts[loop]:
+        r = product(axes, axes_of(tree, rotations, loop, 1))
+    first = tree.first_rows[loop]
+    for row in range(first, first + tree.row_counts[loop]):
+        c[row] = left_side(tree.forms[row], gap, r) / tree.row_units[row]
+    return r
+
+
 @jit
 def _residual(tree, q, s):  # type: ignore[no-untyped-def]
     if tree.pose >= 0:
         _aim_pose(tree, s)
     rotations, origins = placed(tree, q)
-    c, row = np.empty(len(tree.row_units)), 0
+    c = np.empty(len(tree.row_units))
     for loop in range(len(tree.ends)):
-        axes = transposed(axes_of(tree, rotations, loop, 0))
-        r = product(axes, axes_of(tree, rotations, loop, 1))
-        p2 = point_of(tree, rotations, origins, loop, 1)
-        gap = times(axes, plus(p2, scaled(point_of(tree, rotations, origins, loop, 0), -1.0)))
-        for _ in range(tree.row_counts[loop]):
-            c[row] = left_side(tree.forms[row], gap, r) / tree.row_units[row]
-            row += 1
+        axes, p2 = transposed(axes_of(tree, rotations, loop, 0)), point_of(tree, rotations, origins, loop, 1)
+        _left_sides(tree, rotations, origins, loop, axes, p2, c)
     _equalities(tree, q, c)
     return c
 
@@ -428,41 +452,40 @@ def _linearised(tree, q, s):  # type: ignore[no-untyped-def]
 
 @jit
 def linearised_at(tree, q, rotations, origins):  # type: ignore[no-untyped-def]
-    """Return c (m,), J (m, p), and speeds and turns (closures, nv) of joints that are placed."""
+    """Return c (m,), J (m, p), and levers and turns (closures, nv) of joints that are placed."""
     nv, loops = len(tree.units), len(tree.ends)
     c, jacobian = np.empty(len(tree.row_units)), np.zeros((len(tree.row_units), len(tree.columns)))
-    speeds, turns = np.zeros((loops, nv)), np.zeros((loops, nv))
-    start = 0
+    levers, screws = np.zeros((loops, nv)), np.empty((nv, 6))
+    for column in range(nv):
+        rotation, scale = matrix(rotations, tree.joints[column]), tree.units[column]
+        v, w = scaled(vector(tree.linear, column), scale), scaled(vector(tree.angular, column), scale)
+        write(screws, column, times(rotation, v), times(rotation, w))
     for loop in range(loops):
-        axes = transposed(axes_of(tree, rotations, loop, 0))
-        r = product(axes, axes_of(tree, rotations, loop, 1))
-        p2 = point_of(tree, rotations, origins, loop, 1)
-        gap = times(axes, plus(p2, scaled(point_of(tree, rotations, origins, loop, 0), -1.0)))
-        end = start + tree.row_counts[loop]
-        for row in range(start, end):
-            c[row] = left_side(tree.forms[row], gap, r) / tree.row_units[row]
+        axes, p2 = transposed(axes_of(tree, rotations, loop, 0)), point_of(tree, rotations, origins, loop, 1)
+        r = _left_sides(tree, rotations, origins, loop, axes, p2, c)
+        start = tree.first_rows[loop]
+        between, end = start + tree.position_counts[loop], start + tree.row_counts[loop]
         for k in range(tree.first_columns[loop], tree.first_columns[loop + 1]):
             column = tree.loop_columns[k]
-            joint = tree.joints[column]
-            scale = tree.loop_signs[k] * tree.units[column]
-            own = product(axes, matrix(rotations, joint))
-            w = times(own, scaled(vector(tree.angular, column), scale))
-            arm = times(axes, (p2[0] - origins[joint, 0], p2[1] - origins[joint, 1], p2[2] - origins[joint, 2]))
-            v = times(own, scaled(vector(tree.linear, column), scale))
-            v = (
-                v[0] + w[1] * arm[2] - w[2] * arm[1],
-                v[1] + w[2] * arm[0] - w[0] * arm[2],
-                v[2] + w[0] * arm[1] - w[1] * arm[0],
-            )
-            speeds[loop, column], turns[loop, column] = length(v) / tree.scales[loop], length(w)
+            w = angular_of(screws, column)
+            arm = plus(p2, scaled(vector(origins, tree.joints[column]), -1.0))
+            v = plus(vector(screws, column), cross(w, arm))
+            levers[loop, column] = length(v) * tree.lever_scales[loop, column]
             unknown = tree.unknowns[column]
-            if unknown >= 0:
-                for row in range(start, end):
-                    jacobian[row, unknown] = _derivative(tree.forms[row], v, w, r) / tree.row_units[row]
-        start = end
+            if unknown < 0:
+                continue
+            v = times(axes, scaled(v, tree.loop_signs[k]))
+            for row in range(start, between):
+                jacobian[row, unknown] = v[0] if tree.forms[row] == 0 else v[1] if tree.forms[row] == 1 else v[2]
+            if between < end:
+                w = times(axes, scaled(w, tree.loop_signs[k]))
+                for row in range(between, end):
+                    jacobian[row, unknown] = _turning(tree.forms[row], w, r)
+            for row in range(start, end):
+                jacobian[row, unknown] /= tree.row_units[row]
     _equalities(tree, q, c)
     for k in range(len(tree.zeros)):
-        row = start + k
+        row = len(tree.forms) + k
         _, joint, driver, driver_in_v = tree.equality_places[k]
         if tree.unknowns[joint] >= 0:
             jacobian[row, tree.unknowns[joint]] = tree.units[joint] / tree.row_units[row]
@@ -471,13 +494,13 @@ def linearised_at(tree, q, rotations, origins):  # type: ignore[no-untyped-def]
             for power in range(tree.polynomials.shape[1] - 1, 0, -1):
                 slope = slope * x + power * tree.polynomials[k, power]
             jacobian[row, tree.unknowns[driver_in_v]] -= slope * tree.units[driver_in_v] / tree.row_units[row]
-    return c, jacobian, speeds, turns
+    return c, jacobian, levers, tree.turns
 
 
 @jit
 def _turn_quaternion(q, at, w):  # type: ignore[no-untyped-def]
     """Turn a quaternion, x y z w, in place by a rotation vector in its own frame."""
-    angle = math.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
+    angle = length(w)
     a = 0.5 - angle * angle / 48.0
     if angle > 1e-4:
         a = math.sin(0.5 * angle) / angle
@@ -490,39 +513,50 @@ def _turn_quaternion(q, at, w):  # type: ignore[no-untyped-def]
         q[at + n] /= norm
 
 
+@inlined
+def _step(tree, x, v):  # type: ignore[no-untyped-def]
+    """Return the displacement of one velocity [rad, m]."""
+    unknown = tree.unknowns[v]
+    return x[unknown] * tree.units[v] if unknown >= 0 else 0.0
+
+
+@inlined
+def _steps(tree, x, v):  # type: ignore[no-untyped-def]
+    return _step(tree, x, v), _step(tree, x, v + 1), _step(tree, x, v + 2)
+
+
 @jit
 def _moved(tree, q, s, x):  # type: ignore[no-untyped-def]
     q = q.copy()
-    step = np.zeros(len(tree.units))
-    for k in range(len(tree.columns)):
-        step[tree.columns[k]] = x[k] * tree.units[tree.columns[k]]
     for joint in range(len(tree.kinds)):
         kind, at, v = tree.kinds[joint], tree.in_q[joint], tree.in_v[joint]
         if kind <= SLIDE:
-            q[at] += step[v]
+            q[at] += _step(tree, x, v)
         elif kind == UNBOUNDED:
-            c, sine = math.cos(step[v]), math.sin(step[v])
+            angle = _step(tree, x, v)
+            c, sine = math.cos(angle), math.sin(angle)
             a, b = q[at] * c - q[at + 1] * sine, q[at] * sine + q[at + 1] * c
             norm = math.sqrt(a * a + b * b)
             q[at], q[at + 1] = a / norm, b / norm
-        elif kind == TRANSLATION:
-            for i in range(3):
-                q[at + i] += step[v + i]
-        elif kind == BALL:
-            _turn_quaternion(q, at, step[v : v + 3])
         elif kind == PLANAR:
             # Half of the turn before the move and half after: right to second order, which is all that steps need.
-            half = math.atan2(q[at + 3], q[at + 2]) + 0.5 * step[v + 2]
-            q[at] += math.cos(half) * step[v] - math.sin(half) * step[v + 1]
-            q[at + 1] += math.sin(half) * step[v] + math.cos(half) * step[v + 1]
-            q[at + 2], q[at + 3] = math.cos(half + 0.5 * step[v + 2]), math.sin(half + 0.5 * step[v + 2])
+            move = _steps(tree, x, v)
+            half = math.atan2(q[at + 3], q[at + 2]) + 0.5 * move[2]
+            q[at] += math.cos(half) * move[0] - math.sin(half) * move[1]
+            q[at + 1] += math.sin(half) * move[0] + math.cos(half) * move[1]
+            q[at + 2], q[at + 3] = math.cos(half + 0.5 * move[2]), math.sin(half + 0.5 * move[2])
         else:
-            _turn_quaternion(q, at + 3, 0.5 * step[v + 3 : v + 6])
-            own = _of_quaternion(q[at + 3], q[at + 4], q[at + 5], q[at + 6])
-            move = times(own, (step[v], step[v + 1], step[v + 2]))
-            for i in range(3):
-                q[at + i] += move[i]
-            _turn_quaternion(q, at + 3, 0.5 * step[v + 3 : v + 6])
+            # Of a free joint, half of the turn before the move and half after.
+            move, share = _steps(tree, x, v), 1.0
+            if kind == FREE:
+                v, share = v + 3, 0.5
+                _turn_quaternion(q, at + 3, scaled(_steps(tree, x, v), share))
+                move = times(_of_quaternion(q[at + 3], q[at + 4], q[at + 5], q[at + 6]), move)
+            if kind != BALL:
+                q[at], q[at + 1], q[at + 2] = plus((q[at], q[at + 1], q[at + 2]), move)
+                at += 3
+            if kind != TRANSLATION:
+                _turn_quaternion(q, at, scaled(_steps(tree, x, v), share))
     for k in range(len(tree.driven)):
         begin, end = tree.values[0, k], tree.values[1, k]
         q[tree.driven[k]] = end if s == 1.0 else begin + s * (end - begin)
@@ -546,11 +580,11 @@ def _left_inverse(jacobian):  # type: ignore[no-untyped-def]
         if not upper[i, i] > 0.0:
             return inverse, False
         pivot = math.sqrt(upper[i, i])
-        largest = max(largest, pivot)
+        largest, factor = max(largest, pivot), 1.0 / pivot
         for k in range(i, columns):
-            upper[i, k] /= pivot
+            upper[i, k] *= factor
         for row in range(rows):
-            inverse[i, row] /= pivot
+            inverse[i, row] *= factor
         for j in range(i + 1, columns):
             factor = upper[i, j]
             if factor != 0.0:
@@ -566,12 +600,13 @@ def _left_inverse(jacobian):  # type: ignore[no-untyped-def]
             if factor != 0.0:
                 for row in range(rows):
                     inverse[i, row] -= factor * inverse[j, row]
+        factor = 1.0 / upper[i, i]
         for row in range(rows):
-            inverse[i, row] /= upper[i, i]
+            inverse[i, row] *= factor
     return inverse, True
 
 
-@jit
+@summing
 def _matrix_times(matrix, vector):  # type: ignore[no-untyped-def]
     """Return the product of a small matrix and a vector, in a fraction of the time of a call to BLAS."""
     result = np.empty(len(matrix))

@@ -277,10 +277,10 @@ class TreeKinematics(StateKinematics):
                 raise
         return True
 
-    def compiled_accelerations(self, v: FloatArray, forces: FloatArray) -> FloatArray | None:
-        """Return the same as the base, which has no notion of the balls' angles."""
+    def accelerate(self, q: FloatArray, v: FloatArray, forces: FloatArray) -> bool:
+        """Do the same as the base, which has no notion of the balls' angles, at the q of `evaluate`."""
         self.check_ball_angles()
-        return super().compiled_accelerations(v, forces)
+        return super().accelerate(q, v, forces)
 
     def velocities_along(self, platform: FloatArray, opening: FloatArray | None = None) -> FloatArray:
         """Return K⁻¹ (W p, c), with p (6,) of the platform and c (3 n,) of the closures, by default zero, as rates."""

@@ -320,11 +320,34 @@ def test_compiled_accelerations_are_the_interpreted_ones(name: str) -> None:
         state = chain.state(q, v)
         state.forward_dynamics(np.zeros(len(chain.actuated)))
         expected = state.kinematics.accelerations(v, forces)
-        a = state.kinematics.compiled_accelerations(v, forces)
-        assert a is not None
+        a = forces.copy()
+        assert state.kinematics.accelerate(q, v, a)
         assert np.abs(a - expected).max() <= 1e-12 * np.abs(expected).max()
-        moved = pin.integrate(chain.model, q, 0.1 * chain.rows.units)
-        assert chain.state(moved, v).kinematics.compiled_accelerations(v, forces) is None
+        moved, kept = pin.integrate(chain.model, q, 0.1 * chain.rows.units), forces.copy()
+        assert not state.kinematics.accelerate(moved, v, kept)
+        assert np.array_equal(kept, forces)
     q, v = states(name)[0]
-    opens = chain.state(q).kinematics.compiled_accelerations(rng.normal(size=chain.model.nv), np.zeros(chain.model.nv))
-    assert opens is None
+    opens, forces = rng.normal(size=chain.model.nv), np.zeros(chain.model.nv)
+    assert not chain.state(q).kinematics.accelerate(q, opens, forces)
+
+
+def test_a_compiled_batch_is_its_members() -> None:
+    chain, rng = mechanism("ankle"), np.random.default_rng(10)
+    chain.compile()
+    q, v = map(np.array, zip(*states("ankle"), strict=True))
+    tau = rng.normal(size=(3, 1, 2))
+    a = chain.state(q, v).forward_dynamics(tau)
+    assert a.shape == (3, 4, 8)
+    for i, j in np.ndindex(3, 4):
+        state = chain.state(q[j], v[j])
+        forces = np.zeros(chain.model.nv)
+        forces[chain.actuated_in_v] = tau[i, 0]
+        expected = state.kinematics.accelerations(v[j], forces)
+        assert np.abs(a[i, j] - expected).max() <= 1e-12 * np.abs(expected).max()
+    assert np.array_equal(chain.state(q[1], v[1]).forward_dynamics(tau)[:, 0], a[:, 1])
+    q[2, 0] += 0.1
+    batch = chain.state(q, v)
+    opened = batch.forward_dynamics(tau[0])
+    assert np.isnan(opened[2]).all()
+    assert np.array_equal(opened[[0, 1, 3]], a[0][[0, 1, 3]])
+    assert list(batch.failures) == [(2,)]
