@@ -51,8 +51,11 @@ def test_all_is_finite_where_nothing_exists_and_at_level_states(kind: str) -> No
             assert np.isfinite(function(MANIPULATORS[kind], state)).all()
 
 
-@pytest.mark.parametrize("name", [pytest.param("joint_values", marks=pytest.mark.slow), *list(FUNCTIONS)[1:]])
-@pytest.mark.parametrize("kind", ["dimensions", "parameters"])
+QUICK = [("dimensions", "leg_forces"), ("parameters", "inverse_jacobian"), ("parameters", "singularity_distance")]
+SLOW = [("dimensions", "inverse_jacobian"), ("parameters", "leg_forces"), ("parameters", "joint_values")]
+
+
+@pytest.mark.parametrize(("kind", "name"), [*QUICK, *(pytest.param(*x, marks=pytest.mark.slow) for x in SLOW)])
 @pytest.mark.usefixtures("double_precision")
 def test_what_does_not_exist_leaves_a_masked_gradient_finite(kind: str, name: str) -> None:
     machine = MANIPULATORS[kind]
