@@ -24,7 +24,7 @@ from spm_pin.kinematics.rates_and_forces import State, inverse_jacobian, leg_for
 from spm_pin.machine import SolutionSet
 from spm_pin.machine.machine import Machine
 from spm_pin.machine.manipulator import check_rps
-from spm_pin.machine.stage_configuration import StageSolutions
+from spm_pin.machine.solutions import StageSolutions
 from spm_pin.support.arguments import FloatArray
 
 ROUNDING = 64.0 * float(np.finfo(np.float64).eps)

@@ -27,7 +27,7 @@ from spm_pin.crosscheck.nlp.batched_newton import LoopEquations, RootCertificate
 from spm_pin.errors import ArgumentError
 from spm_pin.machine import PoseLike, SolutionSet, Status, as_rigid_transform
 from spm_pin.machine.machine import Machine, check_machine
-from spm_pin.machine.stage_configuration import StageSolutions
+from spm_pin.machine.solutions import StageSolutions
 from spm_pin.support.arguments import (
     BoolArray,
     FloatArray,
