@@ -308,3 +308,8 @@ def batch_index(index: object) -> tuple[Any, ...]:
 def masked(array: FloatArray, kept: BoolArray, inner: int) -> FloatArray:
     """Return an array with `inner` axes per member, NaN where `kept` (...) is false."""
     return np.where(np.reshape(kept, (*kept.shape, *(1,) * inner)), array, np.nan)
+
+
+def halves(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the vectors (..., 3, 3) of the lower and of the upper legs, of six (..., 6, 3)."""
+    return vectors[..., :3, :], vectors[..., 3:, :]

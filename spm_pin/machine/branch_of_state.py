@@ -1,4 +1,4 @@
-"""The branch of a configuration: its family, its sign, whether it is physical, and the coordinates of its two stages.
+"""The branch of a configuration: its family, its sign, and the coordinates of its two stages.
 
 Each stage's middle platform either has no torsion (mode T) or is turned by half a turn (mode F) against the other
 end of that stage. A family names the lower stage's mode, then the upper's. A family has at most two branches
@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from spm_pin.formulas import branches, wrenches
+from spm_pin.formulas import wrenches
 from spm_pin.formulas.operations import on_arrays, rows_of
-from spm_pin.machine.batched import Batched
-from spm_pin.support.arguments import BoolArray, FloatArray, IntArray
+from spm_pin.machine.batched import Batched, halves
+from spm_pin.support.arguments import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from spm_pin.machine.configuration import Configuration
@@ -25,8 +25,6 @@ FAMILIES = ("TT", "TF", "FT", "FF")
 BRANCHES = ("TT+", "TT-", "TF+", "TF-", "FT+", "FT-", "FF+", "FF-")
 """Canonical order of the eight branches of an inverse displacement."""
 
-_is_upright, _tilt_cosine_sum = on_arrays(branches.is_upright), on_arrays(branches.tilt_cosine_sum)
-_is_stage_at_home = on_arrays(wrenches.is_stage_at_home)
 _structure_determinant = on_arrays(wrenches.structure_determinant)
 
 
@@ -56,13 +54,8 @@ def branch_sign(configuration: Configuration) -> FloatArray:
     z = b[..., 3] * a[..., 2] - a[..., 3] * b[..., 2] - a[..., 0] * b[..., 1] + a[..., 1] * b[..., 0]
     kappa = np.select([index == 1, index == 2], [-z, z], (a * b).sum(axis=-1))
     arms = configuration.balls - configuration.middle_joints.mean(axis=-2, keepdims=True)
-    det_k = _structure_determinant(*map(rows_of, (*_stages(arms), *_stages(configuration.leg_axes))))
+    det_k = _structure_determinant(*map(rows_of, (*halves(arms), *halves(configuration.leg_axes))))
     return np.where(exists, det_k * np.sign(kappa), np.nan)
-
-
-def _stages(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the vectors (..., 3, 3) of the lower and of the upper legs, of six (..., 6, 3)."""
-    return vectors[..., :3, :], vectors[..., 3:, :]
 
 
 def stage_coordinates(configuration: Batched, modes: str = "TT") -> FloatArray:
@@ -84,30 +77,3 @@ def stage_coordinates(configuration: Batched, modes: str = "TT") -> FloatArray:
         exists = exists & (x0 > np.abs(x3))
         coordinates.append(np.where(exists[..., None], np.stack([x, y, place[..., 2]], axis=-1), np.nan))
     return np.stack(coordinates, axis=-2)
-
-
-def tilt_cosine_sum(configuration: Configuration) -> FloatArray:
-    """Return the sum of the cosines of the two stages' tilts, shape (...): 2 for a straight machine."""
-    return np.asarray(_tilt_cosine_sum(rows_of(configuration.middle_joints), rows_of(configuration.rotation)))
-
-
-def physical(configuration: Configuration) -> BoolArray:
-    """Return which states are physical, without regard to leg limits, shape (...).
-
-    A physical state is reached from the symmetric home without a forward singularity: no torsion in either stage, each
-    stage on the outer side of its platform, and both in the home assembly region. The signs of det J_b and det J_c do
-    not determine this region alone: they are sums of two products of three factors, all six positive at home, and in
-    the home assembly region at most one is negative; see `docs/theory/forward_displacement.md`. If the machine is
-    calibrated, the nominal directions determine the mode, and the machine's own axes the region.
-    """
-    position = tuple(np.moveaxis(configuration.translation, -1, 0))
-    outer = configuration.leg_vectors * configuration.machine.legs.ups[:, None]
-    vectors = configuration.middle_joints, *_stages(outer), configuration.rotation
-    upright = np.asarray(_is_upright(*map(rows_of, vectors), position))
-    # In a batch few states are upright, and the test of the region takes longer.
-    states = configuration[upright] if configuration.shape else configuration
-    outer = outer[upright] if configuration.shape else outer
-    stages = zip(*map(_stages, (states.balls, outer, states.leg_axes)), strict=True)
-    at_home: BoolArray = upright.copy()
-    at_home[upright] = np.logical_and(*(_is_stage_at_home(*map(rows_of, vectors)) for vectors in stages))
-    return at_home

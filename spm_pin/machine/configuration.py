@@ -11,8 +11,9 @@ import numpy.typing as npt
 from scipy.spatial.transform import RigidTransform
 
 from spm_pin.errors import ArgumentError
-from spm_pin.machine.batched import Batched, masked
-from spm_pin.machine.branch_of_state import physical, tilt_cosine_sum
+from spm_pin.formulas import branches, wrenches
+from spm_pin.formulas.operations import on_arrays, rows_of
+from spm_pin.machine.batched import Batched, halves, masked
 from spm_pin.machine.legs import LEGS, triangle_frames
 from spm_pin.machine.machine import ALONE
 from spm_pin.machine.manipulator import Manipulator, check_manipulator
@@ -28,6 +29,9 @@ from spm_pin.support.arguments import (
     type_and_value,
 )
 from spm_pin.support.pose import PoseLike, as_rigid_transform, unchecked_transform
+
+_is_upright, _tilt_cosine_sum = on_arrays(branches.is_upright), on_arrays(branches.tilt_cosine_sum)
+_is_stage_at_home = on_arrays(wrenches.is_stage_at_home)
 
 
 class Configuration(Batched):
@@ -127,14 +131,28 @@ class Configuration(Batched):
     def is_at_home(self) -> BoolArray:
         """True for physical states, without regard to leg limits, shape (...).
 
-        Without torsion in either stage, and reached from the symmetric home without a forward singularity.
+        A physical state is reached from the symmetric home without a forward singularity: no torsion in either stage,
+        each stage on the outer side of its platform, and both in the home assembly region. The signs of det J_b and
+        det J_c do not determine this region alone: they are sums of two products of three factors, all six positive at
+        home, and in the home assembly region at most one is negative; see `docs/theory/forward_displacement.md`. If the
+        machine is calibrated, the nominal directions determine the mode, and the machine's own axes the region.
         """
-        return physical(self)
+        position = tuple(np.moveaxis(self.translation, -1, 0))
+        outer = self.leg_vectors * self.machine.legs.ups[:, None]
+        vectors = self.middle_joints, *halves(outer), self.rotation
+        upright = np.asarray(_is_upright(*map(rows_of, vectors), position))
+        # In a batch few states are upright, and the test of the region takes longer.
+        states = self[upright] if self.shape else self
+        outer = outer[upright] if self.shape else outer
+        stages = zip(*map(halves, (states.balls, outer, states.leg_axes)), strict=True)
+        at_home: BoolArray = upright.copy()
+        at_home[upright] = np.logical_and(*(_is_stage_at_home(*map(rows_of, vectors)) for vectors in stages))
+        return at_home
 
     @property
     def tilt_cosine_sum(self) -> FloatArray:
         """Sum of the cosines of the two stages' tilts, shape (...): 2 for a straight machine."""
-        return tilt_cosine_sum(self)
+        return np.asarray(_tilt_cosine_sum(rows_of(self.middle_joints), rows_of(self.rotation)))
 
     @cached_property
     def balls(self) -> FloatArray:

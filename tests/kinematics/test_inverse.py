@@ -13,7 +13,6 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 import spm_pin as spm
 from spm_pin.kinematics.inverse_displacement import complex_middle_joints, inverse_physical
-from spm_pin.machine import branch_of_state
 from spm_pin.machine.branch_of_state import branch_sign, family
 
 EPS = np.finfo(float).eps
@@ -134,7 +133,7 @@ def test_the_physical_branch_alone_is_that_of_all(limits: spm.LegLimits | None) 
         np.testing.assert_array_equal(getattr(found, name), getattr(chosen, name), err_msg=name)
     if limits is None:
         # The rule itself, on the configurations.
-        np.testing.assert_array_equal(branch_of_state.physical(solutions.configurations), solutions.is_physical)
+        np.testing.assert_array_equal(solutions.configurations.is_at_home, solutions.is_physical)
 
 
 def test_a_pose_without_a_physical_branch_says_why() -> None:

@@ -12,7 +12,6 @@ from problems import at_end_stops, in_leg_space, random_branches
 
 import spm_pin as spm
 from spm_pin.errors import SelectionError
-from spm_pin.machine.branch_of_state import tilt_cosine_sum
 from spm_pin.machine.configuration import check_configuration
 from spm_pin.machine.machine import likely_unit
 
@@ -173,8 +172,8 @@ def test_the_physical_branch_is_the_one_the_pose_was_made_from() -> None:
     seed = problem.configuration[np.flatnonzero(solutions.ambiguous)]
     seeded = left.physical(near=seed)
     np.testing.assert_allclose(seeded.middle_joints, seed.middle_joints, atol=1e-6)
-    tilts = tilt_cosine_sum(left.configurations)[:, :2]
-    np.testing.assert_allclose(tilt_cosine_sum(left.physical()), tilts.max(axis=-1))
+    tilts = left.configurations.tilt_cosine_sum[:, :2]
+    np.testing.assert_allclose(left.physical().tilt_cosine_sum, tilts.max(axis=-1))
 
 
 def test_one_returns_the_only_solution_or_raises(branches: spm.SolutionSet) -> None:
@@ -313,7 +312,7 @@ def test_physical_agrees_with_forward_displacement() -> None:
     legs = np.random.default_rng(5).uniform(0.8, 2.0, (300, 6))
     direct = spm.forward_physical(PAPER, legs)
     modes = spm.forward_displacement(PAPER, legs)
-    mode_is_physical = modes.where(spm.machine.branch_of_state.physical(modes.configurations))
+    mode_is_physical = modes.where(modes.configurations.is_at_home)
     np.testing.assert_array_equal(mode_is_physical.exists.sum(axis=-1), direct.exists)
     chosen = mode_is_physical.where(mode_is_physical.exists)[direct.exists].one()
     np.testing.assert_allclose(chosen.middle_joints, direct.middle_joints[direct.exists], atol=1e-9)

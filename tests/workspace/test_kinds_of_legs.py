@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 from spm_pin.machine import LegLimits
-from spm_pin.machine.branch_of_state import physical
 from spm_pin.workspace import leg_clearance, nearest_reachable_pose, pose_distance, reachable, reachable_position
 from spm_pin.workspace.states import StateSet, states_within
 
@@ -72,7 +71,7 @@ def test_the_set_holds_what_is_physical_within_the_limits_and_within_reach(
     coordinates = within.sample[:3000] + rng.normal(0.0, 0.15, (3000, 2, 3))
     coordinates = coordinates[(np.hypot(coordinates[..., 0], coordinates[..., 1]) < 0.99).all(axis=-1)]
     states = within.states(coordinates)
-    expected = physical(states) & machine.limits.contains(states.readings)
+    expected = states.is_at_home & machine.limits.contains(states.readings)
     held = within.contains(0, coordinates[:, 0]) & within.contains(1, coordinates[:, 1])
     assert 0.05 < held.mean() < 0.95
     np.testing.assert_array_equal(held, expected)
@@ -128,7 +127,7 @@ def test_no_state_that_a_random_search_finds_is_nearer_than_the_nearest(machine:
         found = nearest_reachable_pose(machine, target)
         state = found.configuration
         assert machine.limits.contains(state.readings)
-        assert physical(state)
+        assert state.is_at_home
         assert (state.slopes * machine.legs.slope_signs > 0.0).all()
         steps = rng.normal(0.0, 1.0, (2000, 6)) * np.geomspace(1e-4, 0.4, 2000)[:, None]
         readings = np.clip(state.readings + steps, machine.limits.minimum, machine.limits.maximum)

@@ -8,7 +8,6 @@ from error_fields import with_fields
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.machine.branch_of_state import physical
 from spm_pin.workspace import nearest_reachable_pose, pose_distance
 from spm_pin.workspace.states import states_within
 
@@ -111,7 +110,7 @@ def test_a_drag_stays_within_the_limits_and_comes_never_farther(
         assert nearest.distance == pytest.approx(pose_distance(machine, here.pose, target), abs=1e-12)
         assert box.margin(here.readings) >= -1e-12
         assert here.closure_residual < 1e-13
-        assert physical(here)
+        assert here.is_at_home
 
 
 def test_without_limits_the_nearest_pose_has_the_branch() -> None:

@@ -9,7 +9,6 @@ from problems import PAPER, in_leg_space, random_branches
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.machine.branch_of_state import physical
 from spm_pin.workspace import JointLimits, reachable, sample_reachable
 from spm_pin.workspace.states import pose_multiplicity, states_within
 
@@ -39,7 +38,7 @@ def test_narrower_limits_of_single_legs_are_those_that_count() -> None:
     low, high = np.array(TIGHT.minimum), np.array(TIGHT.maximum)
     with np.errstate(invalid="ignore"):
         inside = ((modes.leg_lengths >= low) & (modes.leg_lengths <= high)).all(axis=-1)
-    expected = (inside & physical(modes.configurations)).any(axis=-1)
+    expected = (inside & modes.configurations.is_at_home).any(axis=-1)
     assert 0.05 < expected.mean() < 0.95
     np.testing.assert_array_equal(answer.reachable, expected)
     np.testing.assert_array_equal(answer.branch >= 0, expected)
@@ -120,7 +119,7 @@ def test_limits_without_a_sample_are_refused() -> None:
 def test_a_sample_in_leg_space_is_uniform_there_and_repeatable() -> None:
     states = sample_reachable(PAPER, 4000, rng=8)
     assert states.shape == (4000,)
-    assert physical(states).all()
+    assert states.is_at_home.all()
     share = (states.leg_lengths - 1.1) / 0.4
     # Mean 1/2 and variance 1/12, to four standard errors.
     assert share.mean(axis=0) == pytest.approx(0.5, abs=4 * np.sqrt(1 / 12 / 4000))

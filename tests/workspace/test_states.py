@@ -7,7 +7,7 @@ import pytest
 from problems import PAPER
 
 import spm_pin as spm
-from spm_pin.machine.branch_of_state import FAMILIES, family, physical
+from spm_pin.machine.branch_of_state import FAMILIES, family
 from spm_pin.workspace.states import StateSet, free_states, states_within
 
 BUILT = PAPER.perturbed(1, length=5e-3, angle=5e-3)
@@ -48,7 +48,7 @@ def test_the_aspect_is_that_of_physical_states_and_the_determinant_vanishes_at_i
     stages = [within.stages(stage, coordinates[:, stage]) for stage in range(2)]
     inside = stages[0].in_aspect & stages[1].in_aspect
     assert 0.1 < inside.mean() < 0.9
-    np.testing.assert_array_equal(inside, physical(within.states(coordinates)))
+    np.testing.assert_array_equal(inside, within.states(coordinates).is_at_home)
     # Zero where det J_b or det J_c is: signs agree over all coordinates, up to that of the aspect.
     determinants = spm.singularities(within.states(coordinates)).determinants[:, :2]
     for stage in range(2):
