@@ -319,7 +319,9 @@ def _stage_formulas() -> list[ca.Function]:
     turned = in_casadi(circles.turned_back)(end, _rows(e), in_casadi(circles.limited)(step))
     between = [in_casadi(circles.circles_between)(start, end, x) for x in (0.5 * (share + next_share), next_share)]
     change = in_casadi(circles.largest_change)(start, end) * (next_share - share)
-    is_safe = in_casadi(circles.is_safe_step)(*between, _rows(b), change)
+    is_safe = in_casadi(circles.is_safe_step)(
+        *between, _rows(b), in_casadi(circles.first_step)(between[1], _rows(b)), change
+    )
     size, last = ca.SX.sym("size"), ca.SX.sym("last")
     direction, balls = in_casadi(circles.directions_to)(end, _rows(b)), in_casadi(circles.balls_at)(end, _rows(e))
     table = (

@@ -67,12 +67,17 @@ def squared_sides(b: Rows) -> Vector:
 
 
 def circles_between(start: Circles, end: Circles, share: float) -> Circles:
-    """Return the circles at a fraction, 0 to 1, of the straight line between those of two stages."""
-    shares = share, share, share
-    axes = combinations(start.axes, shares, differences(end.axes, start.axes))
-    centres = combinations(start.centres, shares, differences(end.centres, start.centres))
+    """Return the circles at a fraction, 0 to 1, of the straight line between those of two stages with equal axes."""
+    centres = combinations(start.centres, (share, share, share), differences(end.centres, start.centres))
     radii = combined(start.radii, share, minus(end.radii, start.radii))
-    return Circles(directions(axes), centres, radii, combined(start.squares, share, minus(end.squares, start.squares)))
+    return Circles(end.axes, centres, radii, combined(start.squares, share, minus(end.squares, start.squares)))
+
+
+def stage_between(start: Circles, end: Circles, share: float) -> Circles:
+    """Return the circles at a fraction, 0 to 1, of the way between those of two stages, whose axes may differ."""
+    circles = circles_between(start, end, share)
+    axes = directions(combinations(start.axes, (share, share, share), differences(end.axes, start.axes)))
+    return Circles(axes, circles.centres, circles.radii, circles.squares)
 
 
 def level_balls(stage: Circles, corners: Rows, up: float) -> Rows:
@@ -153,27 +158,40 @@ def is_closed(stage: Circles, e: Rows) -> bool:
     return largest(errors(stage, balls_at(stage, e))) <= 1e-15 * size
 
 
-def is_safe_step(middle: Circles, end: Circles, b: Rows, change: float) -> bool:
+class FirstStep(NamedTuple):
+    """Newton's first step from balls next to the circles: directions, columns of the inverse derivative, and step."""
+
+    directions: Rows
+    inverse: Rows
+    step: Vector
+
+
+def first_step(stage: Circles, b: Rows) -> FirstStep:
+    """Return Newton's first step from balls near the circles."""
+    e = directions_to(stage, b)
+    balls = balls_at(stage, e)
+    inverse = inverse_derivative(stage, e, balls)
+    return FirstStep(e, inverse, weighted(errors(stage, balls), inverse))
+
+
+def is_safe_step(middle: Circles, end: Circles, b: Rows, first: FirstStep, change: float) -> bool:
     """Return whether one branch of solutions leads from the balls b at the start of a step to the circles at its end.
 
     That is so, and Newton's method converges to the end from b, if Newton's and Kantorovich's theorem holds along the
-    step: `middle` and `end` are the circles half-way and at the end, and centres and radii change by at most `change`.
+    step: `middle` and `end` are the circles half-way and at the end, `first` is Newton's first step from b to `end`,
+    and centres and radii change by at most `change`.
     """
-    e = directions_to(end, b)
-    at_end = balls_at(end, e)
-    first, second, third = inverse_derivative(end, e, at_end)
-    step = weighted(errors(end, at_end), (first, second, third))
-    at_middle = balls_at(middle, directions_to(middle, b))
-    half_way = weighted(errors(middle, at_middle), (first, second, third))
+    columns = first.inverse
+    half_way = weighted(errors(middle, balls_at(middle, directions_to(middle, b))), columns)
     sums = (
-        magnitude(first[0]) + magnitude(second[0]) + magnitude(third[0]),
-        magnitude(first[1]) + magnitude(second[1]) + magnitude(third[1]),
-        magnitude(first[2]) + magnitude(second[2]) + magnitude(third[2]),
+        magnitude(columns[0][0]) + magnitude(columns[1][0]) + magnitude(columns[2][0]),
+        magnitude(columns[0][1]) + magnitude(columns[1][1]) + magnitude(columns[2][1]),
+        magnitude(columns[0][2]) + magnitude(columns[1][2]) + magnitude(columns[2][2]),
     )
     norm, (lipschitz, drift) = largest(sums), _bounds(end, change)
     # False also for NaN, if there is no inverse.
     is_regular = norm * drift <= _DRIFT
-    return both(is_regular, norm * lipschitz * larger(largest(step), largest(half_way)) <= _KANTOROVICH)
+    return both(is_regular, norm * lipschitz * larger(largest(first.step), largest(half_way)) <= _KANTOROVICH)
 
 
 def _bounds(stage: Circles, change: float) -> tuple[float, float]:

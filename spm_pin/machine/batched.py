@@ -143,7 +143,10 @@ class Batched(ABC):
         lower, upper = self.balls[..., :3, :], self.balls[..., 3:, :]
         if not upper.shape[-2]:
             return lower[..., None, :, :]
-        return np.stack([lower, (upper - self._translation[..., None, :]) @ self._rotation], axis=-3)
+        stages = np.empty((*lower.shape[:-2], 2, 3, 3))
+        stages[..., 0, :, :] = lower
+        np.matmul(upper - self._translation[..., None, :], self._rotation, out=stages[..., 1, :, :])
+        return stages
 
     @cached_property
     def circle_centres(self) -> FloatArray:

@@ -52,21 +52,24 @@ def test_errors_have_their_derivatives_by_the_angles() -> None:
 def test_the_largest_safe_step_does_not_depend_on_the_order_of_the_legs() -> None:
     """Its bounds are the largest over legs and pairs, which are at another place in each order."""
 
-    def largest(is_safe: Callable[[float], bool]) -> float:
+    def largest(holds: Callable[[float], bool]) -> float:
         low, high = 0.0, 1.0
         for _ in range(45):
             middle = 0.5 * (low + high)
-            low, high = (middle, high) if is_safe(middle) else (low, middle)
+            low, high = (middle, high) if holds(middle) else (low, middle)
         return low
 
     def turned(angle: float, order: list[int]) -> tuple[tuple[float, ...], ...]:
         return rows(balls(ANGLES + angle * np.array([1.0, -0.5, 0.7]))[order])
 
+    def is_safe(order: list[int], angle: float, change: float) -> bool:
+        own, b = stage(order), turned(angle, order)
+        return circles.is_safe_step(own, own, b, circles.first_step(own, b), change)
+
     limits = []
     for order in ([0, 1, 2], [1, 2, 0], [2, 0, 1]):
-        own = stage(order)
-        change = largest(lambda x, own=own, order=order: circles.is_safe_step(own, own, turned(0.0, order), x))
-        angle = largest(lambda x, own=own, order=order: circles.is_safe_step(own, own, turned(x, order), 0.0))
+        change = largest(lambda x, order=order: is_safe(order, 0.0, x))
+        angle = largest(lambda x, order=order: is_safe(order, x, 0.0))
         limits.append([change, angle])
     assert np.min(limits) > 1e-4
     np.testing.assert_allclose(limits, limits[:1] * 3, rtol=1e-9)

@@ -18,7 +18,7 @@ from spm_pin.formulas.circles import (
     Circles,
     balls_at,
     circles_between,
-    directions_to,
+    first_step,
     has_converged,
     is_closed,
     is_home_state,
@@ -47,29 +47,29 @@ def circles_at(axes: FloatArray, centres: FloatArray, radii: FloatArray, squares
 
 
 @jit
-def solution(stage: Circles, start: Rows) -> tuple[Rows, Rows, bool]:
-    """Return the directions and balls to which Newton's method leads from the balls `start`, and if it converges."""
-    e, last = directions_to(stage, start), np.nan
+def solution(stage: Circles, e: Rows, step: Vector) -> tuple[Rows, Rows, bool]:
+    """Return directions and balls to which Newton's method leads from directions e and its step there; and if so."""
+    last = np.nan
     for count in range(MOST_STEPS):
-        step = newton_step(stage, e)
         e, size = turned_back(stage, e, limited(step)), largest(step)
         if has_converged(size, last) or (is_stalled(size, last) and is_closed(stage, e)):
             return e, balls_at(stage, e), True
         if not size < (np.inf if count < SEARCH_STEPS else WANDERING):
             break
-        last = size
+        last, step = size, newton_step(stage, e)
     return e, balls_at(stage, e), last < 1e-9
 
 
 @jit
-def followed(start: Circles, end: Circles, first: Rows) -> tuple[Rows, bool]:
-    """Follow the balls `first` while circles change from `start` to `end`; return the balls, and if they got there."""
-    balls, share, length, change = first, 0.0, 1.0, largest_change(start, end)
+def followed(start: Circles, end: Circles, balls: Rows) -> tuple[Rows, bool]:
+    """Follow balls while circles change from `start` to `end`; return the balls, and if they got there."""
+    share, length, change = 0.0, 1.0, largest_change(start, end)
     for _ in range(_MOST_SAFE_STEPS):
         target = min(share + length, 1.0)
         stage, middle = circles_between(start, end, target), circles_between(start, end, 0.5 * (share + target))
-        if is_safe_step(middle, stage, balls, change * (target - share)):
-            _, moved, arrived = solution(stage, balls)
+        first = first_step(stage, balls)
+        if is_safe_step(middle, stage, balls, first, change * (target - share)):
+            _, moved, arrived = solution(stage, first.directions, first.step)
             if arrived:
                 balls, share, length = moved, target, 2.0 * length
                 if share == 1.0:
@@ -109,7 +109,8 @@ def home_states(centres, radii, axes, balls, ups, joints, is_elsewhere):
         squares = squared_sides(own)
         for n in range(len(radii)):
             stage = circles_at(axes[leg:], centres[n, leg:], radii[n, leg:], squares)
-            e, b, converged = solution(stage, level_balls(stage, own, ups[k]))
+            first = first_step(stage, level_balls(stage, own, ups[k]))
+            e, b, converged = solution(stage, first.directions, first.step)
             is_home = is_home_state(stage, e, b, ups[k])
             is_elsewhere[n, k] = converged and not is_home
             joints[n, k] = np.nan

@@ -19,7 +19,6 @@ from spm_pin.formulas.circles import (
     Circles,
     PairForm,
     balls_at,
-    circles_between,
     directions_to,
     eliminant,
     form_sizes,
@@ -30,6 +29,7 @@ from spm_pin.formulas.circles import (
     newton_step,
     pair_forms,
     squared_sides,
+    stage_between,
     turn_equations,
     turn_origins,
     turned_back,
@@ -327,7 +327,7 @@ def real_modes(stage: Circles, found: ModeScratch, balls: FloatArray) -> tuple[i
         if _is_real(c, s, 0.0):
             e = combinations(multiples(_real(c), first), _real(s), second)
             # By coordinates of the balls: the forms lose digits where legs are long.
-            _, b, converged = solution(stage, balls_at(stage, e))
+            _, b, converged = solution(stage, e, newton_step(stage, e))
             complete = complete and converged
             put_rows(b, balls[real])
             real += 1
@@ -344,7 +344,7 @@ def _carried(drawn: Circles, stage: Circles, start: Rows) -> tuple[Rows, bool]:
     b, share, length = start, 0.0, 1.0
     while length >= _SHORTEST:
         target = min(share + length, 1.0)
-        between = stage if target == 1.0 else circles_between(drawn, stage, target)
+        between = stage if target == 1.0 else stage_between(drawn, stage, target)
         e = directions_to(between, b)
         step = newton_step(between, e)
         size = largest(step)
