@@ -197,7 +197,8 @@ REFUSED = "limit", "beyond the axes", "level", "out of reach"
 TURNED_OFF = ("nearly stretched",)
 
 
-@pytest.mark.parametrize("case", [x if x == "stage" else pytest.param(x, marks=pytest.mark.slow) for x in STEPS])
+@pytest.mark.slow
+@pytest.mark.parametrize("case", STEPS)
 def test_the_simulator_homes_and_moves_a_machine_calibrated_anew(bench: Bench, case: str) -> None:
     machine, folder = BUILT[case], bench.folder
     steps = {name: in_world_mode(machine, step) for name, step in STEPS[case].items()}
@@ -282,7 +283,7 @@ ROUND_TRIPS: dict[str, tuple[Machine, list[tuple[float, float]]]] = {
 @pytest.mark.parametrize(
     ("case", "count"),
     [
-        ("servos", 30_000),
+        ("servos", 10_000),
         ("RRS", 30_000),
         *(pytest.param(x, 300_000, marks=pytest.mark.slow) for x in ("robot", "PRS")),
     ],

@@ -49,10 +49,8 @@ def test_all_limits_hold_and_some_limit_is_used(
     assert (np.abs(moved - step) <= 0.00802 * jumps * period**3 + 1e-14).all()
 
 
-@pytest.mark.parametrize(
-    ("path", "jerk", "steps"),
-    [(CURVE, 40.0, 40), pytest.param(LINE, 400.0, 120, marks=pytest.mark.slow)],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("path", "jerk", "steps"), [(CURVE, 40.0, 40), (LINE, 400.0, 120)])
 def test_a_transcription_in_time_finds_the_same_duration(path: LegPath, jerk: float, steps: int) -> None:
     motion = spm.time_optimal(CHAIN, path, leg_rates=0.6, leg_accelerations=3.0, leg_jerks=jerk)
     assert motion.times[-1] == pytest.approx(shooting_duration(path, 0.6, 3.0, jerk, steps), rel=0.005)

@@ -198,7 +198,7 @@ def test_a_tiny_line_is_a_motion_too(length: float) -> None:
     assert spm.time_optimal(CHAIN, line, leg_forces=1500.0, leg_jerks=40.0, grid=100).times[-1] < 0.1
 
 
-@pytest.mark.parametrize(("count", "seed"), [(2, 4), pytest.param(16, 120, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("count", "seed"), [(1, 4), pytest.param(16, 120, marks=pytest.mark.slow)])
 def test_every_plan_has_a_fastest_motion_within_its_limits_and_its_error(count: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     kinds = [

@@ -108,6 +108,7 @@ def test_limits_in_which_the_determinant_changes_its_sign_have_a_witness(limits:
     assert "Disproved" in found.explain()
 
 
+@pytest.mark.slow
 def test_a_witness_is_found_where_the_straight_way_between_samples_has_no_states() -> None:
     limits = spm.LegLimits(1.08319, 1.59089)
     found = certify_inverse(spm.Manipulator(1.33448, 0.932207, 0.821107, limits))

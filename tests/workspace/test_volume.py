@@ -219,6 +219,7 @@ def test_poses_out_of_reach_have_no_branches() -> None:
     assert np.isnan(answer.largest_tilt(4)[1]).all()
 
 
+@pytest.mark.slow
 def test_volumes_and_boundaries_of_small_errors_are_nearly_those_of_the_drawing() -> None:
     small = PAPER.perturbed(7, length=1e-4, angle=1e-4)
     volumes = [reachable_volume(machine, samples=3000, rng=8) for machine in (PAPER, small)]
