@@ -153,7 +153,8 @@ def _docstrings(file: str) -> dict[str, str]:
 
 
 _stage = typer.Typer(
-    help="The same commands for a stage: a ball balancer, a tripod head, a mirror mount.", no_args_is_help=True
+    help="Most of these commands for a stage (ball balancer, tripod head, mirror mount), and reach for its workspace.",
+    no_args_is_help=True,
 )
 _add_commands(_stage, of_stage=True)
 app.add_typer(_stage, name="stage")

@@ -48,10 +48,15 @@ _STYLES = {Verdict.MISPRINT: "yellow", Verdict.NOT_PRINTED: "yellow", Verdict.UN
 
 def crosscheck(
     typed: MachineInUnits,
-    poses: Annotated[int, typer.Option(min=1, help="Random poses, four fifths of them in leg space.")] = 200,
+    poses: Annotated[
+        int, typer.Option(min=1, help="Random poses: four fifths from readings within the limits, the others any.")
+    ] = 200,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the poses and of the wrenches.")] = 0,
     method: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help=f"{', '.join(METHODS)}; may be repeated. Default: all.")
+        list[str] | None,
+        typer.Option(
+            metavar="NAME", help=f"{', '.join(METHODS)}; may be repeated. Default: all that take the machine."
+        ),
     ] = None,
     pairs: Annotated[bool, typer.Option("--pairs", help="Show every pair of methods, not only the worst.")] = False,
     out: Annotated[Path | None, outputs.file_option("JSON file of the report to write.")] = None,
@@ -60,7 +65,8 @@ def crosscheck(
     """Solve random poses, or tilts and heights of a stage, by independent methods and compare the results.
 
     Branches, inverse Jacobians and leg forces are compared in pairs, with tolerances from conditioning and rounding.
-    Exits with 1 if the methods disagree, and says which one is wrong. If interrupted, it reports the poses done so far.
+    Exits with 1 if the methods disagree; of three or more it names the one that does. If interrupted, it reports the
+    poses done so far.
     --figure needs the extra "plots".
     """
     report = _compare(typed.machine, poses, seed, method)
@@ -152,13 +158,14 @@ def _remarks(report: Report, all_methods: bool, file: str | None) -> list[str]:
     lines = []
     absent = [name for name in METHODS if name.replace("-", " ") not in {score.name for score in report.scores}]
     if all_methods and absent:
-        drawn = "they take nominal manipulators of RPS legs only, or " if "paper" in absent else ""
-        lines.append(f"Left out, since {drawn}their packages are not installed: {', '.join(absent)}.")
+        why = dict.fromkeys(absent, "its package is not installed") | {"paper": "nominal manipulators of RPS legs only"}
+        lines.append(f"Left out: {', '.join(f'{name} ({why[name]})' for name in absent)}.")
     worst = report.worst
     if worst is not None:
         what = f"{worst.quantity}, {worst.first} and {worst.second}, branch {worst.branch}"
         which = "Largest difference" if worst.ratio > 1.0 else "Nearest to the tolerance"
-        lines.append(f"{which}: {what}, {worst.ratio:.0e} of it, at the pose\n  {report.command(worst.pose, file)}")
+        ratio = f"{worst.ratio:.0e} times the tolerance"
+        lines.append(f"{which}: {what}, {ratio}, at the pose\n  {report.command(worst.pose, file)}")
     for score in report.scores:
         if score.pose >= 0:
             rate = f"{100 * score.allowed:g} %"
@@ -172,10 +179,9 @@ def _remarks(report: Report, all_methods: bool, file: str | None) -> list[str]:
 
 def _comparison_content(report: Report, file: str | None) -> dict[str, Any]:
     content = {name: getattr(report, name) for name in ("agrees", "verdict", "outliers", "seed", "requested")}
-    sizes = ("base_radius", "platform_radius", "middle_side")
     names = [f"{name}_degrees" if name in ("xyx", "roll", "pitch") else name for name in report.requests]
     return content | {
-        "geometry": {name: getattr(report.machine, name) for name in sizes if hasattr(report.machine, name)},
+        "geometry": report.machine.as_data(),
         "poses": [dict(zip(names, numbers, strict=True)) for numbers in zip(*report.requests.values(), strict=True)],
         "reached": report.reached,
         "states": report.states,
@@ -220,7 +226,10 @@ def demo(
 def reproduce(
     table: Annotated[
         list[int] | None,
-        typer.Option(metavar="NUMBER", help="Show every cell of a table, 1 to 5; may be repeated. Default: all."),
+        typer.Option(
+            metavar="NUMBER",
+            help="Show every cell of a table, 1 to 5; may be repeated. Default: all that take the machine.",
+        ),
     ] = None,
     cells: Annotated[bool, typer.Option("--cells", help="Show every cell of all tables.")] = False,
     out: Annotated[Path | None, outputs.file_option("JSON file of all results to write.")] = None,

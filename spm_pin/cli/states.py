@@ -15,7 +15,7 @@ import typer
 from spm_pin.cli import outputs, requests
 from spm_pin.cli.options import LEGS_NAMES, OF_MANIPULATOR, Branches, Legs, LegsOption, Readings
 from spm_pin.cli.outputs import Report, Table
-from spm_pin.cli.requests import Record, Request, Triple, request_of
+from spm_pin.cli.requests import Record, Request, Triple, request_of, sentence
 from spm_pin.cli.units import MachineInUnits
 from spm_pin.display.writing import fixed
 from spm_pin.errors import ArgumentError, SingularConfigurationError
@@ -143,7 +143,7 @@ def forward(
 
     Example: spm-pin stage forward --base 80 --platform 90 --crank 50 --rod 110 --unit mm --legs 20 33 6
 
-    The exit code is 3 if the legs cannot be assembled, 5 if a leg is beyond its limits.
+    The exit code is 3 if the legs cannot be assembled, 5 if there is no physical configuration within the limits.
     """
     chosen = [name for name, wanted in (("xyx", xyx), ("rpy", rpy), ("quat", quat)) if wanted] or ["xyx"]
     if len(chosen) > 1:
@@ -180,6 +180,8 @@ def forward(
         lines += requests.readings_remarks(typed, legs)
     else:
         lines += requests.state_remarks(records, physical, "mode")
+        if modes.count and not records:
+            lines.append(f"{sentence(physical.missing_reason)}. Assembly modes that are real are shown by --all.")
     content = requests.solutions_content(modes, typed) | {"count": modes.count, "modes": records}
     code = requests.exit_code(modes.status, physical)
     return Report(content, [Table(title, columns, records, left=[""]), *lines], code)

@@ -1,6 +1,6 @@
-"""States for a request and the balls that a method found, and by how much they violate the loops and the request.
+"""States made of a requested pose and of ball positions that a method found, and how far they violate the equations.
 
-A request is a pose. A manipulator takes the whole pose, a stage its height and its normal: the rest follows.
+For a manipulator the whole pose is requested, for a stage only its height and its normal.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from spm_pin.support.arguments import FloatArray
 
 
 def is_stage(machine: Any) -> bool:
-    """Return whether a machine is one stage: it is requested a height and a tilt."""
+    """Return whether a machine is a single stage."""
     return len(machine.legs.kinds) == 1
 
 
@@ -44,6 +44,6 @@ def closure_residuals(states: Any, poses: FloatArray, balls: FloatArray) -> Floa
     residual = np.asarray(states.closure_residual)
     if not is_stage(states.machine):
         return residual
-    turn = states.machine.ball_side * np.linalg.norm(states.normal - poses[..., :3, 2], axis=-1)
-    apart = np.abs(states.balls - balls).max(axis=(-1, -2))
-    return np.asarray(np.max([residual, turn, np.abs(states.height - poses[..., 2, 3]), apart], axis=0))
+    normal_error = states.machine.ball_side * np.linalg.norm(states.normal - poses[..., :3, 2], axis=-1)
+    ball_error = np.abs(states.balls - balls).max(axis=(-1, -2))
+    return np.asarray(np.max([residual, normal_error, np.abs(states.height - poses[..., 2, 3]), ball_error], axis=0))

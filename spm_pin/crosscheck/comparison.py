@@ -193,7 +193,8 @@ class Report:
             return "The methods disagree."
         if len(self.outliers) > 1:
             return f"{' and '.join(self.outliers)} contradict each other; a third method can decide."
-        return f"{self.outliers[0]} is wrong: the others agree."
+        why = "the others agree" if len(self.scores) > 2 else "branches that it found or lost contradict the equations"
+        return f"{self.outliers[0]} is wrong: {why}."
 
     def command(self, pose: int, machine_file: str | None = None) -> str:
         """Return the command line that solves a pose of this report, FILE if no file of the machine is given."""

@@ -107,11 +107,12 @@ class Paper(Method):
     """Mistakes of the paper's Table 5 to repeat; none by default."""
 
     def __post_init__(self) -> None:
+        is_one = is_stage(self.machine)
+        if is_one or not self.machine.is_nominal:
+            expected = "a nominal manipulator of RPS legs, whose equations are those of the paper"
+            cause = "Leave the method paper out"
+            raise GeometryError("machine", expected, "a stage" if is_one else "a calibrated machine", cause)
         check_rps(self.machine, "the paper's equations")
-        if is_stage(self.machine) or not self.machine.is_nominal:
-            expected = "a nominal machine of two stages, whose equations are those of the paper"
-            received = "one stage" if is_stage(self.machine) else "a calibrated one"
-            raise GeometryError("machine", expected, received, "Leave this method out, or compare another machine")
 
     def inverse(self, pose: RigidTransform) -> SolutionSet:
         """Solve poses (N,)."""
@@ -243,7 +244,10 @@ def make_methods(names: Sequence[Method | str] | None, machine: Machine) -> list
             with contextlib.suppress(ImportError, GeometryError):
                 serving.append(maker(machine))
         return serving
-    unknown = [name for name in names if isinstance(name, str) and name not in METHODS]
+    if isinstance(names, str):
+        raise ArgumentError("methods", "a list of methods or names", repr(names), f"Write [{names!r}]")
+    unknown = [name for name in names if not isinstance(name, Method) and name not in METHODS]
     if unknown:
-        raise ArgumentError("methods", f"names among {', '.join(METHODS)}", ", ".join(unknown))
+        cause = "" if all(isinstance(name, str) for name in unknown) else "Or instances, such as ClosedForm(machine)"
+        raise ArgumentError("methods", f"names among {', '.join(METHODS)}", ", ".join(map(str, unknown)), cause)
     return [METHODS[name](machine) if isinstance(name, str) else name for name in names]

@@ -1,4 +1,4 @@
-"""Random poses for comparisons, of which a stage is requested the heights and the normals."""
+"""Random poses for comparisons; of a stage only their heights and normals are requested."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from spm_pin.support.arguments import FloatArray, generator, whole_number
 def in_leg_space(machine: Machine, count: int, rng: np.random.Generator | int) -> RigidTransform:
     """Draw poses (count,) of physical states whose readings are uniform within the limits.
 
-    Without limits the balls are as far from their pivots as in the home, a third more or less.
+    Without limits, the distances of balls and pivots are between 1/1.33 and 1.33 times those in the home.
     """
     count, rng = _checked(machine, count, rng)
     poses: RigidTransform = random_states(machine, count, rng).pose
@@ -23,7 +23,7 @@ def in_leg_space(machine: Machine, count: int, rng: np.random.Generator | int) -
 
 
 def on_all_rotations(machine: Machine, count: int, rng: np.random.Generator | int) -> RigidTransform:
-    """Draw poses (count,) with rotations uniform on SO(3), near enough to the axis that about half have branches."""
+    """Draw poses (count,) with rotations uniform on SO(3) and positions near the axis; many have no branches."""
     count, rng = _checked(machine, count, rng)
     far = 1.5 * machine.stage_radii[0][1] * np.sqrt(rng.uniform(size=count))
     azimuth = rng.uniform(-np.pi, np.pi, count)
@@ -38,10 +38,10 @@ def _checked(machine: Machine, count: int, rng: np.random.Generator | int) -> tu
 
 
 def printable(machine: Machine, poses: RigidTransform) -> tuple[RigidTransform, dict[str, FloatArray]]:
-    """Return poses (N,) that the command line reproduces to the last bit, equal to those given up to rounding.
+    """Return poses (N,) that the command line reproduces to the last bit, and the numbers to type for them.
 
-    And the numbers (N, ...) to type, by their options: [m] and degrees. For a stage the poses have no more than its
-    height and its normal, on the axis of the base.
+    For a manipulator they are the given poses up to rounding; for a stage they have the same heights and normals, with
+    the origin on the axis of the base. The numbers (N, ...) are by their options, in [m] and degrees.
     """
     translation = np.asarray(poses.translation)
     if is_stage(machine):

@@ -91,7 +91,7 @@ def product(a: Complex, b: Complex) -> Complex:
 
 
 def quaternions(rotation: Rows) -> tuple[Quaternion, Quaternion, Quaternion, Quaternion]:
-    """Return x0, x1, x2, x3 of a rotation matrix, not normalised, computed from x0, x3, x2 and x1."""
+    """Return the quaternion of a rotation matrix four times, not normalised: its products with x0, x3, x2 and x1."""
     (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = rotation
     trace = r00 + r11 + r22
     return (

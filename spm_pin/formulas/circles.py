@@ -140,9 +140,9 @@ def has_converged(size: float, last: float) -> bool:
 
 
 def is_next_to_solution(size: float, last: float) -> bool:
-    """Return whether Newton's method began close to a solution, and no other one, by its first and second step.
+    """Return whether Newton's method began close to exactly one solution, by its first and second step.
 
-    `size` is that of the first step, with `last` NaN, or of the second, which must be a tenth of the first, `last`.
+    `size` is that of the first step, with `last` NaN, or of the second, at most a tenth of the first, `last`.
     """
     return size <= where(last == last, larger(0.1 * last, 1e-13), 0.1)
 
@@ -177,7 +177,7 @@ def first_step(stage: Circles, b: Rows) -> FirstStep:
 def is_safe_step(middle: Circles, end: Circles, b: Rows, first: FirstStep, change: float) -> bool:
     """Return whether one branch of solutions leads from the balls b at the start of a step to the circles at its end.
 
-    That is so, and Newton's method converges to the end from b, if Newton's and Kantorovich's theorem holds along the
+    That is so, and Newton's method converges to the end from b, if the Newton-Kantorovich theorem holds along the
     step: `middle` and `end` are the circles half-way and at the end, `first` is Newton's first step from b to `end`,
     and centres and radii change by at most `change`.
     """
@@ -208,7 +208,7 @@ def _roots(a: Vector) -> Vector:
 
 
 def largest_change(start: Circles, end: Circles) -> float:
-    """Return the largest displacement of a ball between two stages with its direction e_i constant."""
+    """Return a bound of the displacements of balls between two stages with their directions e_i constant."""
     centres = differences(end.centres, start.centres)
     return largest(minus(end.radii, start.radii)) + largest(_roots(dots(centres, centres)))
 
@@ -317,7 +317,10 @@ def eliminant(forms: tuple[PairForm, PairForm, PairForm], c: float, s: float) ->
 
 
 def turn_equations(forms: tuple[PairForm, PairForm, PairForm], c: Vector, s: Vector) -> tuple[Vector, Pairs]:
-    """Return the errors, and their derivatives c_ij, from cosines and sines of the angles, which may be complex."""
+    """Return the errors, and their derivatives c12, c23, c31, c21, c32, c13, from cosines and sines of the angles.
+
+    These may be complex.
+    """
     f12, f23, f31 = forms
     (n12, a12, b12), (_, a21, b21) = in_other_angle(f12, c[0], s[0]), in_first_angle(f12, 1.0, c[1], s[1])
     (n23, a23, b23), (_, a32, b32) = in_other_angle(f23, c[1], s[1]), in_first_angle(f23, 1.0, c[2], s[2])

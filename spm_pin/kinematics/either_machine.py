@@ -46,9 +46,9 @@ def or_of_stage(of_stage: Callable[Q, T]) -> Callable[[Callable[P, R]], OfEither
             is_stage = bool(args) and isinstance(check_machine(args[0], first), Stage)
             for name in kwargs if args else ():
                 if name not in names[is_stage] and name in names[not is_stage]:
-                    expected = f"the arguments {', '.join(names[is_stage])} for a {type(args[0]).__name__}"
+                    expected = f"no such argument for a {type(args[0]).__name__}, only {', '.join(names[is_stage])}"
                     cause = "A manipulator takes a pose, a stage takes a height and a tilt"
-                    raise ArgumentError(name, expected, name, cause)
+                    raise ArgumentError(name, expected, "a value", cause)
             chosen: Any = of_stage if is_stage else of_manipulator
             return chosen(*args, **kwargs)
 

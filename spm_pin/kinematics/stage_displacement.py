@@ -181,6 +181,9 @@ def _read_request(
 
 def read_heights(stage: Stage, height: npt.ArrayLike, argument: str = "height") -> FloatArray:
     """Read heights (...) in proportion to this stage."""
+    if hasattr(height, "rotation"):
+        cause = "A manipulator takes a pose, a stage takes a height and a tilt"
+        raise ArgumentError(argument, "a height of the platform in metres", "a pose", cause)
     heights = real_array(height, argument, (), "of the platform's origin above the pivots, in metres")
     check_unit(stage, heights, argument, "heights")
     return heights
@@ -201,8 +204,8 @@ def normals_of_request(
         raise ArgumentError(several, "only one of: tilt and azimuth; roll and pitch; normal", "more than one")
     if ways["tilt"]:
         if tilt is None or azimuth is None:
-            missing = "tilt" if tilt is None else "azimuth"
-            raise ArgumentError(missing, "a tilt with its azimuth, in radians", None)
+            missing, given = ("tilt", "azimuth") if tilt is None else ("azimuth", "tilt")
+            raise ArgumentError(missing, f"an angle in radians beside the {given}", "none")
         return _read_tilt(tilt, azimuth)
     if ways["roll"]:
         return _normals_of_roll(0.0 if roll is None else roll, 0.0 if pitch is None else pitch)

@@ -1,20 +1,21 @@
 """Continuation between closed configurations of one assembly mode: Newton's method, each step verified by a theorem.
 
-The path is parametrised by the share s from 0 to 1 of the change of the driven joints, or of the pose. Unknown are the
-other joints x, and the equations c(x, s) = 0 have a Jacobian J of full column rank: it may have more rows than columns,
-some of which depend on others. With A = (Jᵀ J)⁻¹ Jᵀ in one place of a step, or the mean of several, A c(x, s) = 0 has
-as many equations as unknowns, and Krawczyk's theorem says where it has one solution. Let x(t) be a curve from the start
-to the end of the step, straight or a parabola. Where a box of radii r about it, at every t from 0 to 1, satisfies
+The path parameter s runs from 0 to 1, the share of the change of the driven joints, or of the pose. The unknowns are
+the other joints' values x. The equations c(x, s) = 0 have a Jacobian J of full column rank; it may have more rows than
+columns, and rows may be linearly dependent. With A = (Jᵀ J)⁻¹ Jᵀ in one place of a step, or the mean of several, A c(x,
+s) = 0 has as many equations as unknowns, and Krawczyk's theorem says where it has one solution. Let x(t) be a curve
+from the start to the end of the step, straight or a parabola. Where a box of radii r about it, at every t from 0 to 1,
+satisfies
 
     |A c| + |A J - 1| r <= r,
 
 one branch of solutions leads from the start to the end, J is regular all along, and no other solution is in the box:
 neither a fold nor another mode. All quantities are dimensionless, absolute values are of each element. Bounds:
 
-Let a joint j turn frame 2 of a closure by t_j and move its point by n_j per radian, or a slide by n_j per unit, at that
-place. In the order from frame 1 to frame 2, derivatives of p2 by several joints are no larger than the n_j of the last,
-whose direction the others only turn. Let u_i and g_i bound the first and second derivatives of x_i(t), and w_i and v_i
-be displacements beside the curve. With the sums U, G, W and V of t_i u_i, t_i g_i, t_i w_i and t_i v_i up to j, and
+Per unit of a joint j, frame 2 of a closure turns by t_j, zero for a slide, and its point moves by n_j, at that place.
+In the order from frame 1 to frame 2, derivatives of p2 by several joints are no larger than the n_j of the last, whose
+direction the others only turn. Let u_i and g_i bound the first and second derivatives of x_i(t), and w_i and v_i be
+displacements beside the curve. With the sums U, G, W and V of t_i u_i, t_i g_i, t_i w_i and t_i v_i up to j, and
 
     D_j = derivative of exp(U t + G t² / 2 + W y + V z) at 0, a times by t and up to once by y and by z,
 
@@ -27,8 +28,8 @@ of all turns times the sum of all motions. A step is safe
 - or if c in the quarters of a parabola, and J at its ends and in its middle, say so, with the mean of A at both ends
   and bounds of the fifth derivative of c and the third of J. The parabola follows the branch: c is small on it.
 
-J of an end is that of the last iterate of Newton's method at which it was computed; J in a box is compared with it from
-as much further away.
+J is not computed anew at the end of a step: it is that of one of the last iterates of Newton's method. The distance of
+that iterate from the end is added to the radii of the boxes in which J is bounded.
 
 The theorem holds for hinges and slides, up to rounding errors, which are estimated. For ball, planar and free joints,
 whose displacements do not commute, and for joint equalities of a degree above one, whose curvature is not in the
@@ -89,7 +90,7 @@ def make_follower(
     product: Callable[..., Any],
     jit: Callable[[Any], Any] = same,
 ) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """Return `begin(problem, q)` for a closed q, and `go_on` from there to the problem's target.
+    """Return two functions: `begin(problem, q)` checks a start, `go_on` follows the path to the problem's target.
 
     Parameters
     ----------
@@ -310,10 +311,9 @@ def make_follower(
 
     @jit
     def go_on(problem, q, jacobian, inverse, off):  # type: ignore[no-untyped-def]
-        """Return q, J, A and their distance at the end of the path, or as far as it leads, status, share and steps.
+        """Return q, J, A, the distance of J and A from q, the status, the share reached and the number of steps.
 
-        J and A at its start are known, at a distance of up to `off`. Where the next path leads to other values of
-        driven joints, they are those that this path ends with.
+        J and A at the start are known, at a distance of up to `off`. Those returned can begin the next path.
         """
         done, share, steps = 0.0, 1.0, 0
         while done < 1.0:

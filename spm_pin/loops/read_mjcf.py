@@ -52,12 +52,13 @@ def read_mjcf(source: Any, *, actuated: Sequence[str] | None = None) -> RobotDes
         if text is None:
             where = str(file_path(source, "source", expected="an MJCF file, its text, or a mujoco.MjModel"))
         try:
-            if text is not None:
-                compiled = mujoco.MjModel.from_xml_string(text)
-            elif not Path(where).is_file():
+            if text is None and not Path(where).is_file():
                 raise DescriptionError(where, "an existing MJCF file", "no such file")
-            else:
-                compiled = mujoco.MjModel.from_xml_path(where)
+            if "<robot" in (Path(where).read_text(encoding="utf-8", errors="replace") if text is None else text):
+                # MuJoCo reads a URDF without its loops.
+                raise DescriptionError(where, "an MJCF file, whose root is <mujoco>", "<robot>", "Use from_urdf")
+            load = mujoco.MjModel.from_xml_path if text is None else mujoco.MjModel.from_xml_string
+            compiled = load(where if text is None else text)
         except ValueError as error:
             if isinstance(error, ArgumentError):
                 raise

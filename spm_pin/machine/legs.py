@@ -140,9 +140,9 @@ class LegLimits:
         return np.where((lengths >= low) & (lengths <= high), 0.0, beyond)
 
     def margin(self, readings: npt.ArrayLike, scale: npt.ArrayLike | None = None) -> FloatArray:
-        """Return the distance of the worst leg of (..., 6) to its limits; negative outside, NaN for NaN.
+        """Return the least distance of readings (..., legs) from their limits; negative outside, NaN for NaN.
 
-        `scale` (6,) is the factor for each reading, 1 if not given.
+        `scale` (legs,) is the factor for each reading, 1 if not given.
         """
         lengths, (low, high) = self._read(readings), self.admitted
         room = np.minimum(lengths - self.minimum, self.maximum - lengths)

@@ -248,7 +248,7 @@ class Machine(ABC):
             return cls.from_data(read_yaml(path), "")
 
 
-ALONE = "It is for manipulators alone; Manipulator.of_stages joins two stages"
+ALONE = "This is for manipulators only; Manipulator.of_stages joins two stages"
 """Cause of an error where a manipulator or its state is required and a stage or its state was given."""
 
 

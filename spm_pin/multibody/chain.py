@@ -407,7 +407,7 @@ def _read_urdf(file: Path, described: str, side: float) -> str:
     try:
         text = file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise DescriptionError(str(file), "a readable URDF file", str(error)) from error
+        raise DescriptionError(str(file), "a readable URDF file", getattr(error, "strerror", str(error))) from error
     try:
         model = pin.buildModelFromXML(text)
     except (ValueError, RuntimeError) as error:

@@ -232,8 +232,8 @@ def certify(
         reading differs by more than this from that of `machine` [m]. Its dimensions are among these, with the same
         error.
     angle_error : float
-        The same of each axis, of the turn about either direction perpendicular to it, of the directions of slides, and
-        of offsets of angles [rad].
+        Bound of the rotation of each axis about either perpendicular direction, and of the errors of the directions of
+        slides and of the offsets of angles [rad].
 
     Returns
     -------

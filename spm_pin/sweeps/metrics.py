@@ -306,7 +306,7 @@ _MODES_AT_A_TIME = 64
 
 def _check_manipulator(points: Points, metric: str) -> None:
     if not isinstance(points.machine, Manipulator):
-        raise ArgumentError("metrics", "metrics that a stage has", metric, "It is one of manipulators alone")
+        raise ArgumentError("metrics", "metrics that a stage has", metric, "It is defined for manipulators only")
 
 
 def _branch(points: Points) -> npt.ArrayLike:

@@ -412,7 +412,7 @@ def pose_multiplicity(states: StateSet, configurations: Configuration) -> IntArr
 
 
 def given_limits(machine: Machine, limits: LegLimits | None) -> LegLimits | None:
-    """Return leg limits, or those of the machine, which may have none."""
+    """Return the limits if given, otherwise those of the machine, otherwise None."""
     check_machine(machine)
     return machine.limits if limits is None else machine.check_limits(limits)
 

@@ -51,7 +51,7 @@ def test_a_method_that_cannot_be_imported_is_mentioned(monkeypatch: pytest.Monke
     monkeypatch.setitem(METHODS, "ipopt", missing)
     done = run("crosscheck", "--poses", "2")
     assert done.returncode == 0
-    assert "Left out, since their packages are not installed: pinocchio, ipopt." in done.stdout
+    assert "Left out: pinocchio (its package is not installed), ipopt (its package is not installed)." in done.stdout
 
 
 def test_reproduce_prints_the_verdict_every_table_and_each_finding() -> None:

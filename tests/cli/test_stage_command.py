@@ -54,6 +54,9 @@ def test_what_is_not_reached_has_the_nearest_tilt() -> None:
     nearest = run("stage", "inverse", *SIZES[:8], *limits, *out.splitlines()[-1].split(), "--json")
     assert nearest.returncode == 0
     assert max(json.loads(nearest.stdout)["branches"][0]["readings"]) == pytest.approx(40.0, abs=0.01)
+    forward = run("stage", "forward", *SIZES, "--readings", "100", "100", "100")
+    assert forward.returncode == 5
+    assert "without a forward singularity. Assembly modes that are real are shown by --all." in forward.stdout
 
 
 @pytest.mark.parametrize("wanted", [("0", "0"), ("25", "60")])

@@ -1,9 +1,11 @@
 from __future__ import annotations
 
 from importlib import import_module
+from typing import Any
 
 import numpy as np
 import pytest
+from error_fields import with_fields
 from kinds_of_legs import machine_of_kinds
 from problems import PAPER, in_leg_space
 
@@ -97,3 +99,9 @@ def test_a_method_that_cannot_be_imported_is_left_out_unless_named(monkeypatch: 
     assert "pinocchio" not in [m.name for m in make_methods(None, PAPER)]
     with pytest.raises(ImportError):
         make_methods(["pinocchio"], PAPER)
+
+
+@pytest.mark.parametrize("methods", ["paper", [spm.crosscheck.ClosedForm], ["delphi"]])
+def test_what_is_no_method_is_refused(methods: Any) -> None:
+    with pytest.raises(spm.ArgumentError, check=with_fields(argument="methods")):
+        compare_methods(PAPER, poses=1, methods=methods)

@@ -262,6 +262,7 @@ STATES = spm.inverse_physical(BALANCER, [0.12, 0.8])
         (lambda: spm.forward_physical(STAGES["RPS"], [1.2] * 3, near=STATES[0]), "near: "),
         (lambda: spm.inverse_physical(spm.Manipulator.paper(), height=1.2), "takes a pose, a stage takes a height"),
         (lambda: spm.inverse_physical(BALANCER, pose=np.eye(4)), "takes a pose, a stage takes a height"),
+        (lambda: spm.inverse_physical(BALANCER, spm.pose([0, 0, 0.12], rotation=np.eye(3))), "height: .*, got a pose"),
         (lambda: spm.forward_physical(spm.RPS(), [1.0] * 3), "machine: expected a Manipulator or a Stage"),
         (lambda: spm.follow(BALANCER, height=[0.12] * 3, roll=[0.0, 0.1], pitch=0.0), "height"),
     ],

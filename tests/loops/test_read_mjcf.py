@@ -165,6 +165,7 @@ def test_places_gaps_and_masses_are_those_of_mujoco(robot: RobotDescription) -> 
     ("text", "expected"),
     [
         ("<mujoco><worldbody>", "MuJoCo compiles"),
+        ('<robot name="arm"><link name="base"/></robot>', "whose root is <mujoco>"),
         ('<mujoco><asset><mesh name="m" file="gone.stl"/></asset></mujoco>', "MuJoCo compiles"),
         (EVERYTHING.replace('body2="drone"', 'body2="gone"'), "MuJoCo compiles"),
         (EVERYTHING.replace('body1="hand" body2="drone"', 'body1="tower" body2="fixed"'), "move against each other"),

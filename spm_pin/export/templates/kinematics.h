@@ -86,13 +86,13 @@ const char *{{prefix}}status_name(int status);
 /* Inverse displacement. From a state `near`: the end of the way on which the platform moves from its pose in a straight
    line and about a fixed axis, every step proved to stay on the branch, {{PREFIX}}SINGULAR where that meets another.
    With NULL the physical branch: both stages without torsion, upright, and reached from the symmetric home without a
-   forward singularity; of two the one within the limits, then the one whose stages are tilted less; with a machine as
-   built {{PREFIX}}SINGULAR where not all branches can be told apart. `near` and `state` may be the same. */
+   forward singularity; of two the one within the limits, then the one whose stages are tilted less; of a calibrated
+   machine {{PREFIX}}SINGULAR where not all branches can be told apart. `near` and `state` may be the same. */
 int {{prefix}}inverse(const {{prefix}}geometry *geometry, const double rotation[9], const double position[3],
         const {{prefix}}state *near, {{prefix}}state *state);
 
 /* Forward displacement. From a state `near`: the end of the way on which the legs change in proportion, whatever its
-   mode; {{PREFIX}}SINGULAR where that meets a forward singularity. With NULL the state in the aspect of the symmetric
+   mode; {{PREFIX}}SINGULAR where that meets a forward singularity. With NULL the state in the region of the symmetric
    home. `near` and `state` may be the same. */
 int {{prefix}}forward(const {{prefix}}geometry *geometry, const double readings[6], const {{prefix}}state *near,
         {{prefix}}state *state);

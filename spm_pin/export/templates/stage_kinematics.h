@@ -35,7 +35,7 @@ typedef struct {
 /* Return the name of a status, such as "unreachable". */
 const char *{{prefix}}status_name(int status);
 
-/* The state with the height and the normal of a pose, in the aspect of the level platform; `near` is not used. */
+/* The state with the height and the normal of a pose, in the home assembly region; `near` is not used. */
 int {{prefix}}inverse(const {{prefix}}geometry *geometry, const double rotation[9], const double position[3],
         const {{prefix}}state *near, {{prefix}}state *state);
 

@@ -13,7 +13,7 @@
    Load: loadrt {{name}}kins machine=FILE. The file is the {{name}}_machine.txt of an export; after a calibration another file
    takes its place, and nothing is compiled again. Without `machine` the module is that of this export. Limits are LinuxCNC's.
 
-   The forward displacement goes on from the last state, and begins in the aspect of the machine's home: LinuxCNC's estimate
+   The forward displacement goes on from the last state, and begins in the home assembly region: LinuxCNC's estimate
    in `world` is not needed. Where it has no solution the state is lost, and the inverse displacement is refused
    until the forward one, begun anew, finds one: without this LinuxCNC would command the joints of an old pose. */
 

@@ -29,7 +29,7 @@ static void put_world(EmcPose *world)
     world->b = atan2(x, sqrt(y * y + z * z)) / DEGREE;
 }
 
-/* In closed form: of this normal and height there is one state in the aspect of the level platform. */
+/* In closed form: of this normal and height there is one state in the home assembly region. */
 static int solve_pose(const EmcPose *world, stage_state *state)
 {
     const double a = world->a * DEGREE, b = world->b * DEGREE;
