@@ -356,7 +356,8 @@ def _matrices(pose: Any) -> FloatArray:
     matrices = real_array(matrix, "pose", (4, 4), "homogeneous matrices of poses in the world")
     rotations = matrices[..., :3, :3]
     products = rotations @ rotations.swapaxes(-1, -2) - np.eye(3)
-    if np.abs(products).max(initial=0.0) > 1e-9 or (np.linalg.det(rotations) < 0.0).any():
+    is_rigid = np.abs(products).max(initial=0.0) <= 1e-9 and not (np.linalg.det(rotations) < 0.0).any()
+    if not is_rigid or (matrices[..., 3, :] != [0.0, 0.0, 0.0, 1.0]).any():
         raise ArgumentError(
             "pose", "homogeneous matrices of rigid transforms", "other matrices", "Rotations that are rounded?"
         )

@@ -138,6 +138,8 @@ class ConstraintRows:
             for name in (equality.joint, equality.driver):
                 if name is not None and not (model.existJointName(name) and _joint(model, name).nq == 1):
                     raise ArgumentError("equalities", "joints of one degree of freedom", repr(name))
+            if not np.isfinite([equality.zero, equality.driver_zero, *equality.coefficients]).all():
+                raise ArgumentError("equalities", f"finite numbers for the joint {equality.joint!r}", repr(equality))
             driver = _joint(model, equality.driver) if equality.driver is not None else None
             joint = _joint(model, equality.joint)
             places.append([joint.idx_q, joint.idx_v, driver.idx_q if driver else -1, driver.idx_v if driver else -1])

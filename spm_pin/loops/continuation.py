@@ -31,10 +31,11 @@ of all turns times the sum of all motions. A step is safe
 J is not computed anew at the end of a step: it is that of one of the last iterates of Newton's method. The distance of
 that iterate from the end is added to the radii of the boxes in which J is bounded.
 
-The theorem holds for hinges and slides, up to rounding errors, which are estimated. For ball, planar and free joints,
-whose displacements do not commute, and for joint equalities of a degree above one, whose curvature is not in the
-bounds, the test is a rule of thumb. Where c = 0 has rows that depend on others, a solution of A c = 0 is one of c = 0
-as long as they do so; that c is zero is checked at the end of each step.
+The equation of a joint equality is a polynomial of its driver; with x from 0 to the farthest place of the step,
+absolute values of its coefficients bound its derivatives. The theorem holds for hinges and slides, up to rounding
+errors, which are estimated. For ball, planar and free joints, whose displacements do not commute, the test is a rule of
+thumb. Where c = 0 has rows that depend on others, a solution of A c = 0 is one of c = 0 as long as they do so; that c
+is zero is checked at the end of each step.
 
 The functions run in two ways, compiled on arrays and interpreted on Pinocchio; `make_follower` takes the functions that
 differ.
@@ -126,8 +127,30 @@ def make_follower(
         return result if b == 0 else result * w if b == 1 else result * w * v
 
     @jit
+    def of_polynomial(problem, k, u, g, w, v, a, b):  # type: ignore[no-untyped-def]
+        """Return the bound that `bounds` writes for a joint equality; its driver is at `drivers[k]` at the start."""
+        driver = problem.equality_places[k, 3]
+        if driver < 0:
+            return 0.0
+        unit, total, share = problem.units[driver], 0.0, 1.0
+        rate, bend, beside, further = unit * u[driver], unit * g[driver], unit * w[driver], unit * v[driver]
+        far = abs(problem.drivers[k]) + rate + further
+        for twice in range(a // 2 + 1):
+            # Faà di Bruno's formula for a polynomial of x(t), whose third derivative is zero.
+            order, slope = a - twice + b, 0.0
+            for power in range(problem.polynomials.shape[1] - 1, order - 1, -1):
+                factor = abs(problem.polynomials[k, power])
+                for i in range(order):
+                    factor *= power - i
+                slope = slope * far + factor
+            total += share * slope * rate ** (a - 2 * twice) * bend**twice
+            share *= (a - 2 * twice) * (a - 2 * twice - 1) / (2.0 * (twice + 1))
+        total *= 1.0 if b == 0 else beside if b == 1 else beside * further
+        return total / problem.row_units[len(problem.forms) + k]
+
+    @jit
     def bounds(problem, levers, turns, path, w, a, b, reach, found):  # type: ignore[no-untyped-def]
-        """Write bounds (2 closures,) of derivatives of positions, then angles: a times by t, and by the first b of w.
+        """Write bounds (n,) of derivatives of positions, angles and equalities: a times by t, by the first b of w.
 
         `path` (2, nv) has u and g, `w` (2, nv) displacements beside the curve. Levers are those at a share `reach` of
         the curve, and at the second w, from where bounds are to hold.
@@ -162,12 +185,14 @@ def make_follower(
                         total += lever * derivative(all_u, all_g, all_w, all_v, a, 0) * (w[j] * all_v + v[j] * all_w)
             found[k] = total + math.exp(min(reach * all_u + all_v, 9.0)) * motion * before
             found[loops + k] = before
+        for k in range(len(problem.zeros)):
+            found[2 * loops + k] = of_polynomial(problem, k, u, g, w, v, a, b)
 
     @jit
     def sizes_of(problem, inverse):  # type: ignore[no-untyped-def]
-        """Return sizes (p, 2 closures) of the parts of A that multiply positions, then angles, of each closure."""
+        """Return sizes (p, n) of the parts of A that multiply positions and angles of closures, and equalities."""
         count, loops = len(problem.columns), len(problem.first_rows)
-        sizes = np.zeros((count, 2 * loops))
+        sizes = np.zeros((count, 2 * loops + len(problem.zeros)))
         for i in range(count):
             for k in range(loops):
                 first, squares = problem.first_rows[k], 0.0
@@ -177,6 +202,8 @@ def make_follower(
                 sizes[i, k] = math.sqrt(squares)
                 for row in range(between, first + problem.row_counts[k]):
                     sizes[i, loops + k] += abs(inverse[i, row])
+            for k in range(len(problem.zeros)):
+                sizes[i, 2 * loops + k] = abs(inverse[i, len(problem.forms) + k])
         return sizes
 
     @jit
@@ -188,7 +215,7 @@ def make_follower(
         """
         w, radii = np.zeros(path.shape), 1.5 * eta + 0.01 * eta.max()
         fits, last, first, second = False, np.inf, 0.0, 0.0
-        bound = np.empty(2 * len(problem.first_rows))
+        bound = np.empty(sizes.shape[1])
         for _ in range(MOST_BOXES):
             for i in range(len(radii)):
                 w[0, problem.columns[i]], w[1, problem.columns[i]] = radii[i], radii[i] + off
@@ -226,7 +253,10 @@ def make_follower(
         problem.pose_share[0] = end - done
         for i in range(count):
             path[0, problem.columns[i]], w[1, problem.columns[i]] = abs(x[i]), off
-        bound = np.empty(2 * len(problem.first_rows))
+        for k in range(len(problem.zeros)):
+            place = problem.equality_places[k, 2]
+            problem.drivers[k] = q[place] - problem.zeros[k, 1] if place >= 0 else 0.0
+        bound = np.empty(2 * len(problem.first_rows) + len(problem.zeros))
         if size <= SHORT:
             sizes = sizes_of(problem, inverse)
             bounds(problem, levers, turns, path, w, 2, 0, 1.0, bound)

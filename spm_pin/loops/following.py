@@ -44,6 +44,8 @@ class Problem:
         Angle of the target's turn along the whole path [rad].
     pose_share : ndarray, shape (1,)
         Share of the path that the current step covers.
+    drivers : ndarray, shape (equalities,)
+        Values of the drivers of joint equalities at the start of the current step.
     first_rows, position_counts, row_counts : ndarray of int, shape (closures,)
         Where the equations of each closure begin, and how many there are, of positions and in all.
     """
@@ -58,7 +60,9 @@ class Problem:
         self.position_counts = np.bincount(loops[rows.forms % FORMS < ROTATION], minlength=closures)
         self.first_rows = np.cumsum(self.row_counts) - self.row_counts
         self.driven_rates, self.pose_turn = np.zeros(rows.model.nv), np.zeros(1)
-        self.pose_share = np.zeros(1)
+        self.pose_share, self.drivers = np.zeros(1), np.zeros(len(rows.zeros))
+        self.zeros, self.polynomials, self.equality_places = rows.zeros, rows.polynomials, rows.equality_places
+        self.units, self.row_units, self.forms = rows.units, rows.row_units, rows.forms
         # Joints in the order from frame 1 to frame 2.
         loops_columns = [np.r_[np.flatnonzero(sign < 0.0)[::-1], np.flatnonzero(sign > 0.0)] for sign in rows.signs]
         self.first_columns = np.cumsum([0, *map(len, loops_columns)])

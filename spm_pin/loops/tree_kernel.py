@@ -94,6 +94,7 @@ def tree_of(problem: Any, held: IntArray | tuple[()] = ()) -> SimpleNamespace:
         equality_places=whole(rows.equality_places),
         polynomials=np.array(rows.polynomials, order="C"),
         zeros=np.array(rows.zeros, order="C"),
+        drivers=np.zeros(len(rows.zeros)),
         columns=whole(problem.columns),
         unknowns=whole(unknowns),
         driven=whole(problem.driven),

@@ -265,3 +265,32 @@ def test_wrong_arguments_are_named() -> None:
     with pytest.raises(ArgumentError, check=with_fields(argument="actuated")) as caught:
         ClosedChain(chain.model, chain.closures, ["lift"])
     assert "left" in caught.value.cause
+
+
+def test_a_branch_of_a_polynomial_ends_at_its_fold() -> None:
+    """Beyond two folds, b = -0.18 and -0.49, the same polynomial has another branch with the target's value."""
+    coefficients = (0.0, 0.0272756, 0.110832, 0.141713, 0.0444818)
+    model = pin.Model()
+    for name in "ab":
+        hinge(model, "universe", name, at())
+    chain = ClosedChain(model, (), ("a",), equalities=(JointEquality("a", "b", coefficients),))
+    polynomial = np.polynomial.Polynomial(coefficients)
+    fold = polynomial(max(polynomial.deriv().roots()))
+    for compiled in (False, True):
+        if compiled:
+            chain.compile()
+        q = chain.forward([0.99 * fold], near=[0.0, 0.0])
+        assert polynomial(q[1]) == pytest.approx(0.99 * fold, abs=1e-14)
+        assert -0.19 < q[1] < 0.0
+        for target in (1.01 * fold, -0.0272694):
+            with pytest.raises(ClosureError):
+                chain.forward([target], near=[0.0, 0.0])
+
+
+def test_numbers_that_describe_no_pose_and_no_polynomial_are_refused() -> None:
+    chain, scaled = ankle(), np.eye(4)
+    scaled[3] = 1.0, 2.0, 3.0, 4.0
+    with pytest.raises(ArgumentError, check=with_fields(argument="pose")):
+        chain.inverse("foot", scaled, chain.q0)
+    with pytest.raises(ArgumentError, check=with_fields(argument="equalities")):
+        ClosedChain(chain.model, (), (), equalities=(JointEquality(*chain.actuated[:2], (np.nan, 1.0)),))
