@@ -92,7 +92,7 @@ def export(
     if chosen in ("c", "c-stage") and is_stage != (chosen == "c-stage"):
         kinds = ("a manipulator", "a stage: its file, or --base, --platform and so on")
         received = "a stage" if is_stage else "a manipulator" if typed.given else "none"
-        cause = "Use --format c-stage for a stage" if chosen == "c" else ""
+        cause = "For a stage see the format c-stage" if chosen == "c" else ""
         raise ArgumentError("--machine", f"{kinds[chosen == 'c-stage']}, for --format {chosen}", received, cause)
     bodies = read_masses(masses, "written") if "masses" in own else None
     if chosen not in ("c", "c-stage", "linuxcnc", "ros"):

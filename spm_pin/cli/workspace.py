@@ -56,7 +56,7 @@ def workspace(
         cause = "Maps over many poses are for spm-pin sweep" if out.suffix == ".zarr" else ""
         outputs.check_output(out, "--out", FORMATS if sections else (*FORMATS, *MESH_FORMATS), cause)
         require_extra("plots")
-    machine, unit = check_manipulator(typed.machine), typed.unit
+    machine, unit = check_manipulator(typed.machine, for_stage="For a stage see spm-pin stage reach"), typed.unit
     shell: Shell | Boundary
     if paper:
         shell = workspace_shell(machine, resolution=resolution)
