@@ -107,7 +107,7 @@ def gauge_directions(machine: Machine, base: FloatArray, target: FloatArray, *, 
     may be shifted, and where no reading is one, all its lengths may be in proportion.
     """
     legs, directions, point = machine.legs, [], target[:3, 3]
-    count, is_alone = len(legs.names), len(legs.kinds) == 1
+    count, is_alone = len(legs.names), machine.is_stage
     shown, (outward, forward) = np.linalg.pinv(legs.axis_derivatives), legs.planes
     turned = [np.array(kind.turned) for kind in legs.kinds]
 

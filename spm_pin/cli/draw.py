@@ -19,7 +19,7 @@ from spm_pin.cli.units import LengthUnit, MachineInUnits
 from spm_pin.display.plots import NARROWEST, save_gallery, save_picture, stage_figure
 from spm_pin.display.writing import FORMATS, save_figure
 from spm_pin.errors import ArgumentError, require_extra
-from spm_pin.machine import Configuration, Stage, Status
+from spm_pin.machine import Configuration, Status
 
 
 def draw(
@@ -60,7 +60,7 @@ def draw(
     named = branch is not None
     labels = requests.selected_labels(solutions, branch, required=named) if every or named else []
     states = {"": solutions[labels[0]] if labels else default}
-    if isinstance(typed.machine, Stage):
+    if typed.machine.is_stage:
         save_figure(stage_figure(states[""], names=names is not False), out)
     elif len(labels) > 1:
         states = titled_branches(solutions, labels)
@@ -100,13 +100,13 @@ def _requested(typed: MachineInUnits, pose: Request | None, legs: Any) -> tuple[
         return kind.of_state(state, typed).solve(), state
     solutions, remarks = requests.solve_request(typed, pose, legs)
     state = solutions.physical()
-    is_missing = not (state.exists if isinstance(machine, Stage) else solutions.count)
+    is_missing = not (state.exists if machine.is_stage else solutions.count)
     if is_missing and legs is not None:
         raise ArgumentError(
             "--legs", "readings with which the machine can be assembled", "readings of no state", " ".join(remarks)
         )
     if is_missing and pose is not None:
-        if solutions.status is Status.UNREACHABLE or isinstance(machine, Stage):
+        if solutions.status is Status.UNREACHABLE or machine.is_stage:
             reached = pose.nearest()
             remarks += [] if reached is None else [f"The nearest: {reached[1]}"]
         raise ArgumentError(kind.named, kind.reached, f"status {solutions.status}", " ".join(remarks))

@@ -13,7 +13,7 @@ from spm_pin.cli.options import Masses_, Prefix, read_masses
 from spm_pin.cli.units import MachineInUnits
 from spm_pin.description.masses import Masses
 from spm_pin.errors import ArgumentError
-from spm_pin.machine import Machine, Stage
+from spm_pin.machine import Machine
 
 Format = Literal["urdf", "mjcf", "sdf", "extended-urdf", "srdf", "c", "c-stage", "linuxcnc", "ros", "ros2"]
 _OWN_OPTIONS: dict[str, set[str]] = {
@@ -86,7 +86,7 @@ def export(
     for name, value in (special | {"masses": masses, "prefix": prefix}).items():
         if value and name not in own:
             raise outputs.cannot_be_used(f"--{name.replace('_', '-')}", f"--format {chosen}")
-    is_stage = isinstance(machine, Stage)
+    is_stage = machine.is_stage
     if ball and not is_stage:
         raise ArgumentError("--ball", "a single stage, on which it rolls", "a manipulator")
     if chosen in ("c", "c-stage") and is_stage != (chosen == "c-stage"):
@@ -131,7 +131,7 @@ def write(
     """
     typed.machine.to_yaml(out)
     header = f"; spm-pin export c-stage --machine {out} writes its header for a microcontroller"
-    outputs.note(f"wrote {out}{header * isinstance(typed.machine, Stage)}")
+    outputs.note(f"wrote {out}{header * typed.machine.is_stage}")
 
 
 def urdf(

@@ -216,7 +216,7 @@ def _request_reader(request: type[Request], prefix: str, *, is_optional: bool) -
 
 def _check_kind(typed: MachineInUnits, request: type[Request]) -> None:
     """Raise an error if a machine has requests of another kind."""
-    if (request is TiltRequest) != isinstance(typed.machine, Stage):
+    if (request is TiltRequest) != typed.machine.is_stage:
         option = f"--machine {typed.file}" if typed.file else "--middle"
         raise ArgumentError(option, "a manipulator", "a stage", "For a stage: spm-pin stage")
 

@@ -18,7 +18,7 @@ from spm_pin.display.writing import fixed
 from spm_pin.errors import ArgumentError, PoseError
 from spm_pin.kinematics.forward_displacement import forward_physical, starting_configuration
 from spm_pin.kinematics.inverse_displacement import inverse_displacement, inverse_physical
-from spm_pin.machine import FAMILIES, LegLimits, SolutionSet, Stage, StageSolutions, Status, pose
+from spm_pin.machine import FAMILIES, LegLimits, SolutionSet, StageSolutions, Status, pose
 from spm_pin.machine.branch_of_state import branch_sign, family
 from spm_pin.machine.stage_configuration import BELOW
 
@@ -281,7 +281,7 @@ class TiltRequest(Request):
 
 def request_of(machine: Any) -> type[Request]:
     """Return the kind of request that a machine has."""
-    return TiltRequest if isinstance(machine, Stage) else Request
+    return TiltRequest if machine.is_stage else Request
 
 
 def sentence(text: str) -> str:
@@ -320,7 +320,7 @@ def solve_request(typed: MachineInUnits, request: Request | None, readings: Any)
     if request is not None or readings is None:
         raise ArgumentError("--legs", "readings or a pose", "neither" if readings is None else "both")
     state = forward_physical(typed.machine, readings)
-    is_stage = isinstance(typed.machine, Stage)
+    is_stage = typed.machine.is_stage
     label = "T" if is_stage else FAMILIES[int(family(state))] + "+-"[int(branch_sign(state) < 0.0)]
     kind: Any = StageSolutions if is_stage else SolutionSet
     status = Status.OK if state.exists else Status.UNREACHABLE
@@ -388,7 +388,7 @@ def state_remarks(records: list[Record], physical: Any, what: str) -> list[str]:
         of_physical = "".join(f"; of the physical {what}: {legs or 'none'}" for legs in own)
         remarks = [f"* {beyond[0] if len(beyond) == 1 else 'a leg'} beyond the limits{of_physical}"]
     if records and not physical.exists:
-        home = "level platform" if isinstance(physical.machine, Stage) else "home"
+        home = "level platform" if physical.machine.is_stage else "home"
         remarks.append(f"No {what} is physical: none is reached from the {home} without a forward singularity.")
     return remarks
 

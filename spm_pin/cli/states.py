@@ -24,7 +24,7 @@ from spm_pin.kinematics.rates_and_forces import leg_forces, leg_rates
 from spm_pin.kinematics.singularity_analysis import determinants
 from spm_pin.kinematics.singularity_analysis import singularities as analyse
 from spm_pin.kinematics.singularity_kinds import SingularityKind
-from spm_pin.machine import Configuration, Stage, Status
+from spm_pin.machine import Configuration, Status
 
 _ZERO = (0.0, 0.0, 0.0)
 _ORIENTATIONS = {
@@ -56,10 +56,10 @@ def inverse(pose: Request, typed: MachineInUnits) -> Report:
         content["discriminants"] = solutions.discriminants
     content |= {"branches": records, "nearest": _nearest_record(reached, typed)}
     columns: dict[str, Any] = {pose.solution: itemgetter("label"), **typed.columns()}
-    columns |= _parasitic(typed) if isinstance(typed.machine, Stage) else {}
+    columns |= _parasitic(typed) if typed.machine.is_stage else {}
     columns[""] = lambda row: "physical" * row["physical"]
     title = f"Real branches: readings in {typed.heading}"
-    if isinstance(typed.machine, Stage) and records:
+    if typed.machine.is_stage and records:
         height, tilt, azimuth = (records[0][name] for name in ("height", "tilt", "azimuth"))
         tilted = f"for a tilt of {fixed(tilt, 2)}° towards {fixed(azimuth, 2)}°, and its parasitic motion"
         title = f"Readings in {typed.heading} at {typed.unit.text(height)} {typed.unit} {tilted}"
@@ -118,7 +118,7 @@ def _nearest_lines(reached: tuple[Any, str, float] | None, typed: MachineInUnits
         return []
     _, options, distance = reached
     away = "The nearest tilt that is reached:"
-    if not isinstance(typed.machine, Stage):
+    if not typed.machine.is_stage:
         away = f"The nearest pose within the limits is {typed.unit.text(distance, 1)} {typed.unit} away:"
     return [away, f"  {options}"]
 
@@ -161,7 +161,7 @@ def forward(
     # One digit more where there is room for it in 80 columns.
     finer = int(len(records) == 1)
     columns: Record = {"mode": itemgetter("label")}
-    if isinstance(machine, Stage):
+    if machine.is_stage:
         angles = {f"{x} [°]": lambda row, x=x: fixed(row[x], 3) for x in ("tilt", "azimuth", "roll", "pitch")}
         columns |= {**angles, f"height [{typed.unit}]": lambda row: typed.unit.text(row["height"]), **_parasitic(typed)}
         read = ", ".join(typed.text(x, leg) for leg, x in enumerate(legs * typed.scale))
@@ -207,7 +207,7 @@ def singularities(
         }
         columns: dict[str, Any] = {"branch": itemgetter("label"), **numbers, "": _kind_and_mark}
         title = "Determinant over d³ and smallest singular value: J_b, J_c (forward), K (inverse)"
-        if isinstance(typed.machine, Stage):
+        if typed.machine.is_stage:
             title = "Determinants, smallest singular values and least slope of a leg"
         return [Table(title, columns, records, left=[""])]
 
@@ -286,7 +286,7 @@ def statics(
     twist = np.concatenate([np.array(velocity) / typed.unit.per_metre, np.deg2rad(angular_velocity)])
     if not (wrench.any() or twist.any()):
         raise ArgumentError("--force", "a wrench or a twist that is not zero", "none")
-    if isinstance(typed.machine, Stage):
+    if typed.machine.is_stage:
         if twist[[0, 1, 5]].any():
             expected = "a velocity along Z and turns about X and Y: those of a stage"
             raise ArgumentError("--velocity, --angular-velocity", expected, "others", "Shift and torsion follow")

@@ -91,9 +91,9 @@ def sweep(
     drawn: dict[str, Any] = {} if samples is None else {"count": samples, "seed": seed}
     run: dict[str, Any] = {"scheduler": scheduler, "workers": workers}
     machine, unit = typed.machine, typed.unit
-    others, own = (poses, tilts) if isinstance(machine, Stage) else (tilts, poses)
+    others, own = (poses, tilts) if machine.is_stage else (tilts, poses)
     if strange := [option for option, value in others.items() if value is not None]:
-        kind, other = ("a stage", "a pose") if isinstance(machine, Stage) else ("a manipulator", "a stage")
+        kind, other = ("a stage", "a pose") if machine.is_stage else ("a manipulator", "a stage")
         raise outputs.cannot_be_used(", ".join(strange), kind, f"They are coordinates of {other}")
     domain = None if status else _domain(own, legs, drawn, 1.0 / typed.scale, 1.0 / unit.per_metre)
     if domain is not None:
@@ -101,7 +101,7 @@ def sweep(
         axes = list(zip(domain.axes, map(partial(coordinate_unit, machine), domain.axes), strict=True))
         ends = [axis.start if axis.is_fixed else axis.stop for axis, name in axes if name == "m"]
         longest = max(map(abs, ends), default=0.0)
-        name = "--legs" if legs else "--height" if isinstance(machine, Stage) else "--x, --y, --z"
+        name = "--legs" if legs else "--height" if machine.is_stage else "--x, --y, --z"
         if hint := typed.hint(name, longest * unit.per_metre):
             outputs.note(hint, "yellow")
         parameters: dict[str, float] = {"push": leg_force, "leg_stiffness": leg_stiffness}
@@ -292,7 +292,7 @@ def design(
 
 def _task_functions(path: Path, wrench: str | None, machine: Manipulator | Stage) -> dict[str, Any]:
     """Return the columns of a task, by name, as functions of a machine."""
-    if isinstance(machine, Stage):
+    if machine.is_stage:
         cause = "Tasks of tilts are given in Python: spm_pin.design.Task.of_tilts"
         raise ArgumentError("--task", "poses of a manipulator", "a stage by --machine", cause)
     poses = MotionTable(path).poses()
@@ -345,7 +345,7 @@ def _front_parts(front: Front) -> list[Table | str]:
     columns |= {f"{name} [{problem.unit(name)}]": partial(size, k) for k, name in enumerate(problem.free)}
     metrics = {f"{name}_{which}": metric.unit for name, metric in sweeps.METRICS.items() for which in ("mean", "low")}
     kinds = problem.machine.legs.kinds
-    volume = "m sr" if isinstance(problem.machine, Stage) else "m³ rad³"
+    volume = "m sr" if problem.machine.is_stage else "m³ rad³"
     units = metrics | {"volume": volume, "footprint": "m²", "task_margin": "m"}
     units["task_effort"] = " or ".join(dict.fromkeys("N m" if kind.unit == "rad" else "N" for kind in kinds))
     for name in problem.columns:

@@ -16,14 +16,9 @@ from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.support.arguments import FloatArray
 
 
-def is_stage(machine: Any) -> bool:
-    """Return whether a machine is a single stage."""
-    return len(machine.legs.kinds) == 1
-
-
 def freedoms(machine: Machine) -> slice:
     """Return the rows of a twist (v, ω) that are the freedoms of a machine: v_z, ω_x and ω_y of a stage."""
-    return slice(2, 5) if is_stage(machine) else slice(None)
+    return slice(2, 5) if machine.is_stage else slice(None)
 
 
 def states_with_balls(machine: Any, poses: FloatArray, balls: FloatArray) -> Any:
@@ -32,7 +27,7 @@ def states_with_balls(machine: Any, poses: FloatArray, balls: FloatArray) -> Any
     The platform of a stage is where its balls are.
     """
     poses = np.broadcast_to(poses, (*balls.shape[:-2], 4, 4))
-    if not is_stage(machine):
+    if not machine.is_stage:
         return Configuration.from_arrays(machine, poses[..., :3, :3], poses[..., :3, 3], balls)
     own = machine.legs.balls
     rotation = triangle_frames(balls) @ triangle_frames(own).T
@@ -42,7 +37,7 @@ def states_with_balls(machine: Any, poses: FloatArray, balls: FloatArray) -> Any
 def closure_residuals(states: Any, poses: FloatArray, balls: FloatArray) -> FloatArray:
     """Return the largest violation of the loop equations and of the request [m], (...), for `states_with_balls`."""
     residual = np.asarray(states.closure_residual)
-    if not is_stage(states.machine):
+    if not states.machine.is_stage:
         return residual
     normal_error = states.machine.ball_side * np.linalg.norm(states.normal - poses[..., :3, 2], axis=-1)
     ball_error = np.abs(states.balls - balls).max(axis=(-1, -2))

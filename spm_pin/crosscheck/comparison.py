@@ -20,7 +20,7 @@ import numpy.typing as npt
 import scipy
 from scipy.spatial.transform import RigidTransform
 
-from spm_pin.crosscheck.ball_states import closure_residuals, freedoms, is_stage, states_with_balls
+from spm_pin.crosscheck.ball_states import closure_residuals, freedoms, states_with_balls
 from spm_pin.crosscheck.methods import Method, make_methods
 from spm_pin.crosscheck.random_poses import in_leg_space, on_all_rotations, printable
 from spm_pin.crosscheck.tolerances import ROWS, Conditioning
@@ -437,7 +437,7 @@ class _Comparison:
             if built is not None:
                 assembled[method.name] = built.compared_points.reshape(count, -1)
         size = np.nanmax([np.zeros(count), *(np.linalg.norm(force, axis=-1) for force in forces.values())], axis=0)
-        if is_stage(machine):
+        if machine.is_stage:
             size = size + np.linalg.norm(wrench / per_angle, axis=-1)
         quantities: dict[Quantity, tuple[dict[str, FloatArray], Callable[[FloatArray], FloatArray]]] = {
             Quantity.POSITIONS: (joints, conditioning.position),

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from spm_pin.crosscheck.ball_states import is_stage
 from spm_pin.crosscheck.paper import resultant
 from spm_pin.crosscheck.paper.jacobian import CORRECT, J_f, Table5Mistakes, f_r
 from spm_pin.errors import ArgumentError, GeometryError
@@ -85,7 +84,7 @@ class ClosedForm(Method):
 
     def inverse(self, pose: RigidTransform) -> Branches:
         """Solve poses (N,)."""
-        if is_stage(self.machine):
+        if self.machine.is_stage:
             matrix = pose.as_matrix()
             return inverse_displacement(self.machine, matrix[..., 2, 3], normal=matrix[..., :3, 2])
         return inverse_displacement(self.machine, pose)
@@ -107,7 +106,7 @@ class Paper(Method):
     """Mistakes of the paper's Table 5 to repeat; none by default."""
 
     def __post_init__(self) -> None:
-        is_one = is_stage(self.machine)
+        is_one = self.machine.is_stage
         if is_one or not self.machine.is_nominal:
             expected = "a nominal manipulator of RPS legs, whose equations are those of the paper"
             cause = "Leave the method paper out"
@@ -190,7 +189,7 @@ class Nlp(_MultiStart):
         derivatives = self._derivatives_at(configuration)
         transposed = np.stack([self._nlp.inverse_jacobian(each) for each in derivatives]).mT
         load = wrench[..., None]
-        if is_stage(self.machine):
+        if self.machine.is_stage:
             closure_b, closure_x = (np.stack([np.asarray(each[k]) for each in derivatives]) for k in (0, 1))
             arms = configuration.balls - configuration.translation[:, None]
             turned = np.cross(np.eye(3), arms[:, :, None]).mT

@@ -1,11 +1,10 @@
-"""Random poses for comparisons; of a stage only their heights and normals are requested."""
+"""Random poses for comparisons: for a stage only their heights and normals are requested."""
 
 from __future__ import annotations
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from spm_pin.crosscheck.ball_states import is_stage
 from spm_pin.kinematics.random_states import random_states
 from spm_pin.machine import pose
 from spm_pin.machine.machine import Machine, check_machine
@@ -44,7 +43,7 @@ def printable(machine: Machine, poses: RigidTransform) -> tuple[RigidTransform, 
     the origin on the axis of the base. The numbers (N, ...) are by their options, in [m] and degrees.
     """
     translation = np.asarray(poses.translation)
-    if is_stage(machine):
+    if machine.is_stage:
         angles = np.asarray(poses.rotation.as_euler("XYZ", degrees=True))[:, :2]
         rotation, height = Rotation.from_euler("XY", angles, degrees=True), translation[:, 2]
         on_axis = pose(translation * [0.0, 0.0, 1.0], rotation=rotation)

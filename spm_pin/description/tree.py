@@ -113,7 +113,7 @@ def srdf_text(
 def touching_links(machine: Machine) -> tuple[tuple[str, str], ...]:
     """Return the pairs of links that touch by design: those around one joint."""
     groups: list[tuple[str, ...]] = []
-    is_robot = len(machine.legs.kinds) == 2
+    is_robot = not machine.is_stage
     platform, middle = ("middle_platform", "middle_b") if is_robot else ("platform", "platform_b")
     names = [leg[2:] for leg in machine.legs.names]
     for k, leg in enumerate(names):

@@ -21,7 +21,7 @@ from spm_pin.support.pose import homogeneous
 
 def platforms(machine: Machine) -> tuple[str, ...]:
     """Return the links with pivots or balls, from the base to the end link."""
-    return ("base", "platform") if len(machine.legs.kinds) == 1 else ("base", "middle_platform", "terminal_platform")
+    return ("base", "platform") if machine.is_stage else ("base", "middle_platform", "terminal_platform")
 
 
 @dataclass(frozen=True, eq=False)

@@ -120,7 +120,7 @@ class Task:
     def _along(self, machine: Manipulator | Stage) -> tuple[float, Configuration | StageConfiguration | None]:
         """Return the margin, and the states (n,) in the branch that has it."""
         limits = check_machine(machine).limits
-        if isinstance(self._requests, Tilts) is not isinstance(machine, Stage):
+        if isinstance(self._requests, Tilts) is not machine.is_stage:
             expected = "a Stage for a task of tilts, a Manipulator for one of poses"
             raise ArgumentError("machine", expected, type(machine).__name__, "A task of tilts is made by Task.of_tilts")
         if limits is None:

@@ -64,7 +64,7 @@ def ros_package(
         The texts of the files by their paths in the package.
     """
     known: Any = check_machine(machine)
-    is_stage = len(known.legs.kinds) == 1
+    is_stage = known.is_stage
     name = re.sub(r"[^a-z0-9]+", "_", f"{prefix}spm_{'stage_' * is_stage}".lower()).lstrip("_")
     default = name.rstrip("_") if is_stage else f"{name}robot"
     package = default if package is None else _checked_name(package, "package")

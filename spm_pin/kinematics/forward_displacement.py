@@ -258,12 +258,11 @@ def _joined(machine: Machine, shape: tuple[int, ...], balls: FloatArray, reading
 
     rotation, place = ((3, 3), np.float64), ((3,), np.float64)
     kernel, results = join_stages, [rotation, place, rotation]
-    is_stage = len(machine.legs.stages) == 1
-    if is_stage:
+    if machine.is_stage:
         kernel, results, balls = platform_frames, results[:2], balls.reshape(-1, 3, 3)
     solved = run_kernel(kernel, [balls], [machine.legs.balls], results, _MIN_BATCH_PER_THREAD_PHYSICAL)
     arrays = with_batch_shape(solved, shape)
-    if not is_stage:
+    if not machine.is_stage:
         return Configuration.from_arrays(machine, *arrays)
     states = StageConfiguration.from_arrays(machine, *arrays, np.array(np.broadcast_to(readings, (*shape, 3))))
     return states if states.exists.all() else states.where(states.exists)

@@ -24,7 +24,7 @@ def read_readings(machine: Machine, readings: npt.ArrayLike) -> FloatArray:
     own, farthest = np.asarray(read - legs.offsets), _farthest(legs.units, size)
     short, is_far = own <= legs.least_readings, np.abs(own) > farthest
     if not np.count_nonzero(short | is_far):
-        if len(legs.stages) == 1 and legs.units[0] == "m":
+        if machine.is_stage and legs.units[0] == "m":
             check_unit(machine, own, "readings", "lengths")
         return read
     if short.any():

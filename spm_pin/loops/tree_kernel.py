@@ -547,7 +547,7 @@ def _moved(tree, q, s, x):  # type: ignore[no-untyped-def]
             q[at + 1] += math.sin(half) * move[0] + math.cos(half) * move[1]
             q[at + 2], q[at + 3] = math.cos(half + 0.5 * move[2]), math.sin(half + 0.5 * move[2])
         else:
-            # Of a free joint, half of the turn before the move and half after.
+            # A free joint makes half of its turn before the move and half after.
             move, share = _steps(tree, x, v), 1.0
             if kind == FREE:
                 v, share = v + 3, 0.5

@@ -110,15 +110,14 @@ def homes(machine: Machine) -> tuple[FloatArray, FloatArray]:
         with np.errstate(invalid="ignore"):
             at_home = _HOME(x, height, (low, high), signs[0], numbers, kind.on_arrays)
             # A stage alone may be below its pivots, hanging or not.
-            is_alone = len(machine.stage_radii) == 1
-            if is_alone and low < high and math.isfinite(middle):
+            if machine.is_stage and low < high and math.isfinite(middle):
                 z = _HEIGHT(x, middle, signs[0], numbers, kind.on_arrays)
                 at_home = at_home if np.isnan(z) else formulas.LegHome(middle, x, z)
         places[legs] = x, at_home.z
         # Legs of the other working mode have another reading in the same place.
         own = kind.readings(places[legs], machine.crank_middles[legs])
         readings[legs] = np.where(signs == signs[0], at_home.reading, own)
-        stands = at_home.z > 0.0 or is_alone or kind.up < 0.0
+        stands = at_home.z > 0.0 or machine.is_stage or kind.up < 0.0
         if not (stands and (signs * kind.slopes(places[legs], readings[legs]) > 0.0).all()):
             ends = f" between {low:g} and {high:g} {kind.unit}" if limits else ""
             expected = "a machine whose platforms are level at the middle of its limits"
@@ -171,7 +170,7 @@ def _constants(machine: Machine) -> _Constants:
         placement, run = (axes[leg], pivots[leg]), _ON_NUMBERS
         drawn_axis, of_kind = AXES[leg % 3], run.kinds[type(kind)]
         legs.append(run.leg_frame(placement, drawn_axis, own_axes, signs, at_home, middles[leg], numbers, of_kind))
-    weights = _tuples(machine.legs.upper_ball_weights) if len(machine.stage_radii) == 2 else None
+    weights = _tuples(machine.legs.upper_ball_weights) if not machine.is_stage else None
     return _Constants(tuple(legs), tuple(machine.legs.sides.tolist()), weights, tuple(kinds))
 
 

@@ -44,6 +44,8 @@ class Machine(ABC):
     limits: LegLimits | None
     limits_class: ClassVar[type[LegLimits]] = LegLimits
     """Class of its limits."""
+    is_stage: ClassVar[bool] = False
+    """True for one stage, False for a manipulator of two."""
     file_stem: ClassVar[str]
     """First part of the names of its files and models: "stage" or "spm"."""
     _heading: ClassVar[str]

@@ -72,6 +72,7 @@ class Stage(Machine):
     limits: StageLimits | None
 
     limits_class = StageLimits
+    is_stage = True
     file_stem = "stage"
     _least_share = 0.0
     _heading = "# A stage of three planar legs, lengths in metres and angles in radians: see Stage of spm_pin.\n"

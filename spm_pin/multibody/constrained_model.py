@@ -125,7 +125,7 @@ class ConstrainedModel:
 
     def __init__(self, model: Any, closures: tuple[Closure, ...], machine: Machine, prefix: str) -> None:
         self.closures, self.machine = closures, machine
-        self.is_stage = len(machine.legs.stages) == 1
+        self.is_stage = machine.is_stage
         self.freedoms = np.array([2, 3, 4] if self.is_stage else range(6), dtype=np.intp)
         joints = {name: model.joints[model.getJointId(prefix + name)] for name in joint_names(machine)}
         names = sorted(joints, key=lambda name: joints[name].idx_q)

@@ -23,7 +23,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from spm_pin.crosscheck.ball_states import is_stage
 from spm_pin.crosscheck.nlp import loop_equations
 from spm_pin.machine.machine import Machine
 from spm_pin.support.arguments import BoolArray, FloatArray
@@ -71,7 +70,7 @@ class LoopEquations:
 
         Its mirror image solves the equations too; where all six legs are, orientation follows from them.
         """
-        if not is_stage(self.machine):
+        if not self.machine.is_stage:
             return np.ones(len(b), dtype=bool)
         with np.errstate(invalid="ignore", over="ignore"):
             normals = np.cross(b[:, 3:6] - b[:, :3], b[:, 6:] - b[:, :3])

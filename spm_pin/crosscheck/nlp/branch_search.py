@@ -21,7 +21,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from spm_pin.crosscheck.ball_states import is_stage, states_with_balls
+from spm_pin.crosscheck.ball_states import states_with_balls
 from spm_pin.crosscheck.nlp import loop_equations
 from spm_pin.crosscheck.nlp.batched_newton import LoopEquations, RootCertificate, certify_root, newton
 from spm_pin.errors import ArgumentError
@@ -276,13 +276,13 @@ def _collect(machine: Any, transform: Any, runs: list[Multistart]) -> Search:
     is_lost = (status == Status.OK) & np.isnan(by_place[..., 0, 0]).all(axis=-1)
     status = np.where(is_lost, Status.UNREACHABLE, status)
     ordered: SolutionSet | StageSolutions
-    if machine.is_nominal and not is_stage(machine):
+    if machine.is_nominal and not machine.is_stage:
         ordered = SolutionSet.from_unordered(machine, transform, by_place, status != Status.UNSOLVED)
         status = np.where(status == Status.DEGENERATE, status, ordered.status)
         branches = ordered.middle_joints
     else:
-        kind: Any = StageSolutions if is_stage(machine) else SolutionSet
-        most = 2 if is_stage(machine) else MOST_BRANCHES
+        kind: Any = StageSolutions if machine.is_stage else SolutionSet
+        most = 2 if machine.is_stage else MOST_BRANCHES
         absent = np.isnan(by_place[..., 0, 0])
         status = np.where((~absent).sum(axis=-1) > most, Status.UNSOLVED, status)
         order = np.argsort(absent, axis=-1, kind="stable")[..., :most, None, None]

@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.crosscheck.ball_states import freedoms, is_stage
+from spm_pin.crosscheck.ball_states import freedoms
 from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.machine.leg_kinds import PRS, RPS, RRS, LegKind
 from spm_pin.machine.machine import Machine, check_machine
@@ -35,7 +35,7 @@ def _weights(machine: Machine) -> FloatArray:
     For a manipulator they are the vectors from lower to upper balls (3, 3), for a stage from b_1 to the origin of the
     platform (1, 3).
     """
-    if not is_stage(machine):
+    if not machine.is_stage:
         return machine.legs.upper_ball_weights
     b_1, b_2, b_3 = machine.legs.balls
     sides = b_2 - b_1, b_3 - b_1
@@ -72,7 +72,7 @@ def equations(machine: Machine, b: ca.SX, rotation: ca.SX, translation: ca.SX) -
     """
     points = _points(b)
     planes = [ca.dot(axis, vector) for axis, vector in legs(machine, b, rotation, translation)]
-    if is_stage(machine):
+    if machine.is_stage:
         first, *others = machine.legs.balls.tolist()
         rises = zip(points[1:], others, strict=True)
         planes += [ca.dot(rotation[:, 2], point - points[0]) - (ball[2] - first[2]) for point, ball in rises]
@@ -161,7 +161,7 @@ def leg_jacobian(machine: Machine) -> ca.Function:
     moved = rotation + ca.skew(motion[3:]) @ rotation
     position = translation + motion[:3]
     closure = equations(machine, b, moved, position)
-    if is_stage(machine):
+    if machine.is_stage:
         # The heights of the balls instead of the request: they do not depend on the parasitic v_x, v_y and ω_z.
         balls = zip(_points(b), machine.legs.balls, strict=True)
         heights = [(point - position - moved @ ca.SX(ball))[2] for point, ball in balls]
