@@ -62,7 +62,8 @@ MOST_CORRECTIONS = 12
 CLOSED, ROUNDED = 1e-10, 1e-9
 """Loops are closed if their equations, dimensionless, hold to `CLOSED`; mostly they do so to rounding, a few 1e-16. At
 the start of a path, joint values that were rounded are taken for closed to `ROUNDED`."""
-ROUNDING = 1e-15
+ROUNDING, NOISE = 1e-15, 1e-12
+"""Errors of c near the origin by rounding, and what they may come to in a correction, some 100 m away."""
 REGULAR = 1e-7
 """Smallest pivot of a Jacobian of full rank, relative to the largest."""
 INNER, QUINTIC = 1.87, 3.0e-5
@@ -311,13 +312,14 @@ def make_follower(
         for _ in range(MOST_CORRECTIONS):
             change = -product(new, c)
             correction = largest(change)
-            if not correction <= max(0.5 * last, 1e-13):
+            shrinks = correction <= 0.5 * last
+            if not (shrinks or correction <= NOISE):
                 break
             x += change
             away += correction
             tried = moved(problem, tried, end, change)
             # The next correction is smaller by as much again: below rounding it is left out.
-            if correction * min(1.0, correction / last) <= ROUNDING:
+            if not shrinks or correction * min(1.0, correction / last) <= ROUNDING:
                 c += product(at_end, change)
                 converged = largest(c) <= CLOSED
                 break
@@ -332,7 +334,7 @@ def make_follower(
                 c = residual(problem, tried, end)
         if not converged:
             return False, q, jacobian, inverse, off, size, 0.5
-        if size <= 1e-12 or len(x) == 0:
+        if size <= NOISE or len(x) == 0:
             return True, tried, at_end, new, away, size, 4.0
         safe, factor = safety(
             problem, q, done, end, x, size, jacobian, inverse, at_end, new, levers, turns, max(off, away)

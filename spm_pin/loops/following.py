@@ -23,6 +23,8 @@ FEW = 64
 """Largest number of targets that Pinocchio and NumPy solve, in about a millisecond each, if the kernel is not loaded.
 Loading takes half a second, compiling about 20 s."""
 _KERNEL = "spm_pin.loops.tree_kernel"
+BASE_AT_ORIGIN = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+"""Position and quaternion of a free joint."""
 DEPENDENT = 1e-7
 """Singular values of a Jacobian below this, relative to the largest, are zero when an error is explained."""
 
@@ -163,12 +165,14 @@ class Follower:
         else:
             self.rows = ConstraintRows(model, chain.closures, chain.equalities, chain.q0, (frame, chosen))
             unknown &= self.rows.coupled_with_pose()
-        moves = chain.rows.concerns()
+        moves, bases = chain.rows.concerns(), [np.zeros(0, np.intp)]
         for joint in list(model.joints)[1:]:
             columns = slice(joint.idx_v, joint.idx_v + joint.nv)
             # A free base that is in no loop is held.
             if joint.shortname() == "JointModelFreeFlyer" and not moves[columns].any():
                 unknown[columns] = False
+                bases.append(joint.idx_q + np.arange(joint.nq))
+        self._bases = np.concatenate(bases)
         self.frame = frame
         # Numbers of a target: a matrix (4, 4), or values.
         self._width = len(chain.actuated) if frame is None else 16
@@ -209,6 +213,10 @@ class Follower:
         """Return q (n, nq) of n targets: from the start (nq,) along all, or each from its own (n, nq)."""
         results = np.empty((len(targets), starts.shape[-1]))
         starts, k, status, done, steps = np.array(starts, order="C", ndmin=2), 0, 0, 1.0, 0
+        bases = starts[:, self._bases]
+        if self.frame is None:
+            # Loops do not depend on where free bases are; far from the origin they would be rounded more.
+            starts[:, self._bases] = np.tile(BASE_AT_ORIGIN, len(self._bases) // len(BASE_AT_ORIGIN))
         kernel = _kernel() if len(targets) > FEW else sys.modules.get(_KERNEL)
         if kernel is not None and (kernel.run.is_loaded or len(targets) > FEW):
             aims = np.array(targets, order="C").reshape(len(targets), self._width)
@@ -223,6 +231,7 @@ class Follower:
                     break
         if status:
             raise self.explained(results[k], k, status, done, steps, targets[k])
+        results[:, self._bases] = bases
         return results
 
     def compile(self) -> None:

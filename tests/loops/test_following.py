@@ -126,14 +126,46 @@ def test_path_ends_before_a_fold() -> None:
     assert "No further" in caught.value.cause
 
 
+def on_random_base(chain: ClosedChain, random: np.random.Generator, distance: float) -> Any:
+    """Return joint values with the free base up to a distance away on each axis, turned about z and hardly tilted."""
+    q, angle = chain.q0.copy(), random.uniform(-np.pi, np.pi)
+    q[:3] = random.uniform(-distance, distance, 3)
+    q[3:7] = *random.uniform(-0.2, 0.2, 2), np.sin(0.5 * angle), np.cos(0.5 * angle)
+    return pin.normalize(chain.model, q)
+
+
 def test_free_base_stays() -> None:
-    chain = ankle(base=True)
-    q0 = chain.q0.copy()
-    q0[:7] = pin.SE3ToXYZQUAT(pin.SE3.Random())
+    chain, random = ankle(base=True), np.random.default_rng(3)
     values = far_targets(chain, 1, 0.2)[0]
-    q = chain.forward(values, q0)
-    assert_array_equal(q[:7], q0[:7])
-    assert_allclose(q[7:], ankle().forward(values, ankle().q0), atol=1e-12)
+    expected = ankle().forward(values, ankle().q0)
+    pose = pose_of(chain.model, chain.forward(values, chain.q0), "foot")
+    base = pin.XYZQUATToSE3(chain.q0[:7])
+    for _ in range(20):
+        q0 = on_random_base(chain, random, 100.0)
+        q = chain.forward(values, q0)
+        assert_array_equal(q[:7], q0[:7])
+        assert_allclose(q[7:], expected, atol=1e-12)
+        q = chain.inverse("foot", pin.XYZQUATToSE3(q0[:7]) * base.inverse() * pose, q0, (3, 4))
+        assert_array_equal(q[:7], q0[:7])
+        assert_allclose(q[7:], expected, atol=1e-11)
+
+
+@pytest.mark.parametrize("change", [0.0, 1e-13, 1e-9])
+@pytest.mark.parametrize("runner", ["interpreted", "compiled"])
+def test_targets_that_stay_or_hardly_change(change: float, runner: str) -> None:
+    # A controller at rest: all corrections are rounding errors, which are larger far from the origin.
+    chain, random = ankle(base=True), np.random.default_rng(4)
+    if runner == "compiled":
+        chain.compile()
+    values = far_targets(chain, 1, 0.2)[0] + np.linspace(0.0, change, 20)[:, None]
+    for _ in range(10):
+        near = chain.forward(values[0], on_random_base(chain, random, 100.0))
+        q = chain.forward(values, near)
+        assert_allclose(q[:, chain.actuated_in_q], values, atol=1e-15)
+        assert_allclose(q, np.broadcast_to(near, q.shape), atol=1e-13 + 4.0 * change)
+        poses = [pose_of(chain.model, each, "foot").homogeneous for each in q]
+        again = chain.inverse("foot", poses, near, (3, 4))
+        assert_allclose(again, q, atol=1e-11)
 
 
 def test_inverse_of_a_platform_is_that_of_forward() -> None:

@@ -71,7 +71,7 @@ def test_compiled_tree_is_that_of_pinocchio(kind: ClosureKind, joint: str) -> No
     q = pin.integrate(chain.model, chain.q0, random.uniform(-1.0, 1.0, chain.model.nv))
     problem = Follower(chain, "b2", (0, 2, 3, 4, 5)).problem()
     tree = tree_kernel.tree_of(problem)
-    target = pin.SE3.Random()
+    target = pin.SE3(pin.exp3(random.uniform(-2.0, 2.0, 3)), random.uniform(-1.0, 1.0, 3))
     problem.aim(q, target.homogeneous)
     tree_kernel._aim(tree, q, target.homogeneous.ravel())
     x = random.uniform(-0.3, 0.3, len(problem.columns))
