@@ -35,6 +35,21 @@ def test_branches_show_their_legs() -> None:
     assert np.array(lines)[:, 1:].astype(float) == pytest.approx(branches.readings[branches.exists], abs=5e-5)
 
 
+def test_states_of_a_stage_show_their_legs_in_their_units() -> None:
+    stage = spm.Stage(0.1, 0.1, spm.RRS(crank=0.05, rod=0.12))
+    modes = spm.inverse_displacement(stage, 0.1, roll=0.1)
+    legs = [f"{leg} [rad]" for leg in stage.legs.names]
+    header, *lines = rows(modes)
+    assert header == ["branch", *legs]
+    assert [line[0] for line in lines] == [
+        modes.labels[k] + ", physical" * (k == 0) for k in range(2) if modes.exists[k]
+    ]
+    assert np.array(lines)[:, 1:].astype(float) == pytest.approx(modes.readings[modes.exists], abs=5e-5)
+    header, line = rows(modes.physical())
+    assert header == ["o in {B} [m]", "roll, pitch, yaw [°]", *legs]
+    assert np.array(line[2:], dtype=np.float64) == pytest.approx(modes[0].readings, abs=5e-5)
+
+
 def test_assembly_modes_show_their_poses() -> None:
     modes = spm.forward_displacement(MACHINE, LEGS)
     header, *lines, more = rows(modes)

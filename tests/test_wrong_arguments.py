@@ -171,7 +171,6 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     **dict.fromkeys(
         ("stages.forward_displacement.readings", "stages.forward_physical.readings"), lambda: STAGE_STATE.readings
     ),
-    **{f"StageSolutions.{name}.near": lambda: STAGE_STATE for name in ("nearest", "physical")},
     "stages.forward_physical.near": lambda: STAGE_STATE,
     "stages.follow.readings": lambda: [STAGE_STATE.readings, STAGE_STATE.readings + 0.01],
     **dict.fromkeys(("joint_loads.configuration", "parasitic_jacobian.configuration"), lambda: STAGE_STATE),
@@ -179,7 +178,6 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "one_stage.leg_rates.twist": lambda: np.zeros(3),
     "one_stage.acceleration_polytope.mass": lambda: np.diag([10.0, 1.0, 1.0]),
     "StageConfiguration.pose": lambda: STAGE_STATE.pose,
-    "StageSolutions.where.mask": lambda: np.ones(2, dtype=bool),
     "Stage.from_parameters.parameters": lambda: STAGE.parameters,
     "Stage.base_radius": lambda: 0.08,
     "Stage.platform_radius": lambda: 0.09,
@@ -341,13 +339,12 @@ INSTANCES: dict[str, Callable[[], Any]] = {
     "Polytope": lambda: spm.capability.wrench_polytope(STATE, 900.0),
     "Shell": shell,
     "Stage": lambda: STAGE,
-    "StageSolutions": lambda: spm.inverse_displacement(STAGE, 0.12),
     "SolutionSet": lambda: spm.inverse_displacement(PAPER, STATE.pose),
 }
 """Objects whose methods are called."""
 
 UNCHECKED = (
-    *("SolutionSet.pick", "StageSolutions.pick"),  # for solvers, documented to check nothing
+    "SolutionSet.pick",  # for solvers, documented to check nothing
     *("ClosedChain.simulate", "ClosedChain.joint_trajectory"),  # have tests of their own; a call takes long
     *("ClosedChain.mounted_on", "ClosedChain.carrying"),
     *("loops.ClosedChain.simulate", "loops.ClosedChain.inverse"),  # those of a four-bar are in tests/loops

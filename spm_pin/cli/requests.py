@@ -18,7 +18,7 @@ from spm_pin.display.writing import fixed
 from spm_pin.errors import ArgumentError, PoseError
 from spm_pin.kinematics.forward_displacement import forward_physical, starting_configuration
 from spm_pin.kinematics.inverse_displacement import inverse_displacement, inverse_physical
-from spm_pin.machine import FAMILIES, LegLimits, SolutionSet, StageSolutions, Status, pose
+from spm_pin.machine import FAMILIES, LegLimits, SolutionSet, Status, pose
 from spm_pin.machine.branch_of_state import branch_sign, family
 from spm_pin.machine.stage_configuration import BELOW
 
@@ -320,11 +320,9 @@ def solve_request(typed: MachineInUnits, request: Request | None, readings: Any)
     if request is not None or readings is None:
         raise ArgumentError("--legs", "readings or a pose", "neither" if readings is None else "both")
     state = forward_physical(typed.machine, readings)
-    is_stage = typed.machine.is_stage
-    label = "T" if is_stage else FAMILIES[int(family(state))] + "+-"[int(branch_sign(state) < 0.0)]
-    kind: Any = StageSolutions if is_stage else SolutionSet
+    label = "T" if typed.machine.is_stage else FAMILIES[int(family(state))] + "+-"[int(branch_sign(state) < 0.0)]
     status = Status.OK if state.exists else Status.UNREACHABLE
-    solutions = kind(state.transformed(lambda array, _: array[None]), (label,), status)
+    solutions = SolutionSet(state.transformed(lambda array, _: array[None]), (label,), status)
     return solutions, [] if state.exists else readings_remarks(typed, readings)
 
 

@@ -20,16 +20,15 @@ from spm_pin.crosscheck.paper.jacobian import CORRECT, J_f, Table5Mistakes, f_r
 from spm_pin.errors import ArgumentError, GeometryError
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.kinematics.rates_and_forces import State, inverse_jacobian, leg_forces
-from spm_pin.machine import SolutionSet
+from spm_pin.machine import SolutionSet, StageConfiguration
 from spm_pin.machine.machine import Machine
 from spm_pin.machine.manipulator import check_rps
-from spm_pin.machine.solutions import StageSolutions
 from spm_pin.support.arguments import FloatArray
 
 ROUNDING = 64.0 * float(np.finfo(np.float64).eps)
 """Closure residual of a backward stable route, relative to the size of the robot: the closed form's worst
 over 10⁵ poses is 45 eps, see `docs/theory/inverse_displacement.md`."""
-Branches = SolutionSet | StageSolutions
+Branches = SolutionSet | SolutionSet[StageConfiguration]
 """The branches of a manipulator or of a stage."""
 _REFINE = 30
 """Newton steps on Eq. (13): near a double root four leave residuals a thousand times as large as rounding."""

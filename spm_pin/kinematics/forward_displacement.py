@@ -21,7 +21,7 @@ from spm_pin.machine.configuration import Configuration, check_state
 from spm_pin.machine.joint_angles import homes
 from spm_pin.machine.machine import Machine, unit_hint
 from spm_pin.machine.manipulator import Manipulator, check_same_machine
-from spm_pin.machine.solutions import Degeneracy, SolutionSet, StageSolutions, Status
+from spm_pin.machine.solutions import Degeneracy, SolutionSet, Status
 from spm_pin.machine.stage import Stage
 from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.support.arguments import FloatArray, IntArray, broadcastable
@@ -39,7 +39,7 @@ _MIN_BATCH_PER_THREAD, _MIN_BATCH_PER_THREAD_PHYSICAL = 1 << 8, 1 << 12
 @overload
 def forward_displacement(machine: Manipulator, readings: npt.ArrayLike) -> SolutionSet: ...
 @overload
-def forward_displacement(machine: Stage, readings: npt.ArrayLike) -> StageSolutions: ...
+def forward_displacement(machine: Stage, readings: npt.ArrayLike) -> SolutionSet[StageConfiguration]: ...
 def forward_displacement(machine: Any, readings: npt.ArrayLike) -> Any:
     """Find all configurations with given readings: the assembly modes.
 
@@ -53,7 +53,7 @@ def forward_displacement(machine: Any, readings: npt.ArrayLike) -> Any:
 
     Returns
     -------
-    SolutionSet, or StageSolutions for a stage
+    SolutionSet
         The assembly modes of `ASSEMBLY_MODES`, for a stage `STAGE_MODES`, along the last axis, so `.rotation` is
         (..., 256, 3, 3) or (..., 16, 3, 3), NaN where a mode is not real or a leg is in another working mode. `.status`
         (...) is `Status.OK`; `UNREACHABLE` if a stage cannot be closed; `DEGENERATE` if a stage of a nominal machine
@@ -80,7 +80,7 @@ def forward_displacement(machine: Any, readings: npt.ArrayLike) -> Any:
     >>> int(modes.count), modes["T1+/T1+"].translation.round(4)
     (144, array([0.6889, 0.4963, 2.253 ]))
     >>> spm.forward_displacement(spm.Stage(base_radius=0.7, platform_radius=0.46), [1.2, 1.2, 1.4])
-    <StageSolutions: ok, 12 of 16 real: T1+, T1-, T2+, T2-, T3+, T3-, T4+, T4-, …>
+    <SolutionSet: ok, 12 of 16 real: T1+, T1-, T2+, T2-, T3+, T3-, T4+, T4-, …>
     """
     read = read_readings(machine, readings)
     legs = machine.legs.stages
@@ -89,13 +89,13 @@ def forward_displacement(machine: Any, readings: npt.ArrayLike) -> Any:
     return (_modes_of_stage if len(solved) == 1 else _modes_of_manipulator)(machine, read, *solved)
 
 
-def _modes_of_stage(stage: Stage, readings: FloatArray, modes: Modes) -> StageSolutions:
+def _modes_of_stage(stage: Stage, readings: FloatArray, modes: Modes) -> SolutionSet[StageConfiguration]:
     shape = readings.shape[:-1]
     states = _joined(stage, (*shape, len(STAGE_MODES)), modes.balls, readings[..., None, :])
     status, continuous = modes.status.reshape(shape), modes.continuous.any(axis=-1).reshape(shape)
     status[continuous & (status == Status.OK)] = Status.DEGENERATE
     status[(status == Status.OK) & ~states.exists.any(axis=-1)] = Status.UNREACHABLE
-    return StageSolutions(states, STAGE_MODES, status)
+    return SolutionSet(states, STAGE_MODES, status)
 
 
 def _modes_of_manipulator(machine: Manipulator, readings: FloatArray, below: Modes, above: Modes) -> SolutionSet:

@@ -13,7 +13,7 @@ from spm_pin.formulas.planar_legs import MOST_TURNED, RRS_LEGS
 from spm_pin.formulas.stage_poses import LEAST_RISE
 from spm_pin.kinematics.batches import run_kernel, with_batch_shape
 from spm_pin.kinematics.readings import check_unit
-from spm_pin.machine.solutions import StageSolutions, Status
+from spm_pin.machine.solutions import SolutionSet, Status
 from spm_pin.machine.stage import Stage
 from spm_pin.machine.stage_configuration import BELOW, OPERATION_MODES, StageConfiguration
 from spm_pin.support.arguments import (
@@ -39,13 +39,13 @@ def inverse(
     roll: npt.ArrayLike | None = None,
     pitch: npt.ArrayLike | None = None,
     normal: npt.ArrayLike | None = None,
-) -> StageSolutions:
+) -> SolutionSet[StageConfiguration]:
     """Compute both states of a stage for a tilt and a height of its platform, in closed form.
 
     Parameters
     ----------
     stage : Stage
-        The stage, nominal or calibrated. Its limits are not applied; see `StageSolutions.within`.
+        The stage, nominal or calibrated. Its limits are not applied; see `SolutionSet.within`.
     height : array_like, shape (...)
         Height of the platform's origin, the centre of its balls, above the base's plane of pivots: z in {B} [m].
     tilt, azimuth : array_like, shape (...), optional
@@ -61,7 +61,7 @@ def inverse(
 
     Returns
     -------
-    StageSolutions
+    SolutionSet
         The modes T, without torsion, and F, turned by half a turn, along the last axis, each with the whole pose: so
         `.rotation` is (..., 2, 3, 3), and `.configurations.shift` and `.torsion` are the parasitic motion. `.readings`
         has shape (..., 2, 3). Arrays of a missing mode are NaN. `.status` (...) is `Status.OK`, or `UNREACHABLE` if
@@ -75,7 +75,7 @@ def inverse(
     >>> balancer = spm.Stage(base_radius=0.08, platform_radius=0.09, legs=spm.RRS(crank=0.05, rod=0.11))
     >>> solutions = spm.inverse_displacement(balancer, height=0.12, roll=np.deg2rad(8), pitch=np.deg2rad(-5))
     >>> solutions
-    <StageSolutions: ok, 1 of 2 real: T>
+    <SolutionSet: ok, 1 of 2 real: T>
     >>> np.rad2deg(solutions.physical().readings).round(2)
     array([19.61, 33.38,  5.64])
     """
@@ -87,7 +87,7 @@ def inverse(
     if not shape and not reached.any():
         solutions.missing_reason = _why_unreachable(stage, heights, normals, readings, translation)
     status = np.where(reached.any(axis=-1), Status.OK, Status.UNREACHABLE)
-    return StageSolutions(solutions, OPERATION_MODES, status.reshape(shape))
+    return SolutionSet(solutions, OPERATION_MODES, status.reshape(shape))
 
 
 def inverse_physical(

@@ -12,7 +12,7 @@ from spm_pin.kinematics.readings import read_readings
 from spm_pin.kinematics.stage_displacement import inverse, normals_of_request, read_heights
 from spm_pin.kinematics.stage_rates import determinants
 from spm_pin.kinematics.tracking import EventKind, FollowedPath, Watch, followed
-from spm_pin.machine.solutions import StageSolutions
+from spm_pin.machine.solutions import SolutionSet
 from spm_pin.machine.stage import Stage
 from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.support.arguments import broadcastable, check_instance
@@ -81,7 +81,7 @@ def follow(
     knots = np.linspace(0.0, 1.0, len(points))
     point = scipy.interpolate.make_interp_spline(knots, points, k=1)
 
-    def solve(parameter: float) -> StageSolutions:
+    def solve(parameter: float) -> SolutionSet[StageConfiguration]:
         here = point(parameter)
         if height is None:
             return forward_displacement(stage, here)

@@ -19,11 +19,11 @@ from spm_pin.errors import ArgumentError
 from spm_pin.machine.batched import Batched, stacked
 from spm_pin.machine.configuration import check_members
 from spm_pin.machine.machine import Machine
-from spm_pin.machine.solutions import Solutions
+from spm_pin.machine.solutions import SolutionSet
 from spm_pin.support.arguments import BoolArray, FloatArray, check_instance, whole_number
 
 S = TypeVar("S", bound=Batched)
-Solver = Callable[[float], Solutions[S]]
+Solver = Callable[[float], SolutionSet[S]]
 """The solutions at a parameter of the path."""
 
 _LONGEST_MOVE = 0.1
@@ -136,7 +136,7 @@ def followed(
     return FollowedPath(np.array(tracker.parameters), states, tuple(tracker.labels), ordered)
 
 
-def _start(solutions: Solutions[S], start: S | str | None) -> int:
+def _start(solutions: SolutionSet[S], start: S | str | None) -> int:
     """Return the index of the solution to follow."""
     if isinstance(start, str):
         if start not in solutions.labels or not solutions[start].exists:
@@ -163,7 +163,7 @@ class Tracker(Generic[S]):
         self,
         watch: Watch,
         solve: Solver[S],
-        solutions: Solutions[S],
+        solutions: SolutionSet[S],
         place: int,
         *,
         has_legs: bool,
@@ -208,7 +208,7 @@ class Tracker(Generic[S]):
     def _is_same(self, label: str) -> bool:
         return label == self.labels[-1] or not self.watch.has_labels
 
-    def _nearest(self, solutions: Solutions[S], ahead: float) -> tuple[int | None, bool]:
+    def _nearest(self, solutions: SolutionSet[S], ahead: float) -> tuple[int | None, bool]:
         """Return the solution nearest to the predicted one, if any is near, and whether it clearly is."""
         here = self.states[-1].compared_points
         predicted = here

@@ -1,7 +1,7 @@
 """Machines, `Stage` and `Manipulator` (two stages), their states and sets of states. No Pinocchio, CasADi or Numba.
 
 Base classes: `Machine` of both, with `Legs` of three or six; `Batched` of their states, `StageConfiguration` and
-`Configuration`; `Solutions` of sets of these, `StageSolutions` and `SolutionSet`.
+`Configuration`; `SolutionSet` of sets of either.
 """
 
 from spm_pin.machine.branch_of_state import BRANCHES, FAMILIES
@@ -12,7 +12,7 @@ from spm_pin.machine.leg_kinds import PRS, RPS, RRS, LegKind
 from spm_pin.machine.legs import LEGS, STAGE_LEGS, LegLimits, Legs, PlacedLegs, StageLimits
 from spm_pin.machine.machine import Machine
 from spm_pin.machine.manipulator import PARAMETERS, Manipulator
-from spm_pin.machine.solutions import Degeneracy, SolutionSet, StageSolutions, Status
+from spm_pin.machine.solutions import Degeneracy, SolutionSet, Status
 from spm_pin.machine.stage import Stage
 from spm_pin.machine.stage_configuration import OPERATION_MODES, StageConfiguration
 from spm_pin.support.pose import PoseLike, as_rigid_transform, pose
@@ -42,7 +42,6 @@ __all__ = [
     "Stage",
     "StageConfiguration",
     "StageLimits",
-    "StageSolutions",
     "Status",
     "as_rigid_transform",
     "gallery",

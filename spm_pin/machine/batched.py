@@ -13,6 +13,7 @@ from scipy.spatial.transform import RigidTransform
 from spm_pin.errors import ArgumentError, SelectionError
 from spm_pin.machine.legs import LegLimits, triangle_sides
 from spm_pin.machine.machine import Machine
+from spm_pin.support import notebook
 from spm_pin.support.arguments import BoolArray, FloatArray, check_instance, frozen, type_and_value
 from spm_pin.support.pose import unchecked_transform
 
@@ -224,6 +225,28 @@ class Batched(ABC):
 
     def _absence(self) -> str:
         return f"does not exist{self.missing_reason and ': '}{self.missing_reason}"
+
+    def _repr_html_(self) -> str:
+        if not self.shape:
+            return notebook.table(repr(self), self._columns, [self._cells()] if self.exists else [])
+        rows = notebook.first_rows(self.shape, lambda index: self[index]._cells())
+        return notebook.table(repr(self), ("index", *self._columns), rows)
+
+    @property
+    def _columns(self) -> tuple[str, ...]:
+        """Heading of the table in a notebook."""
+        legs = self._machine.legs
+        readings = (f"{leg} [{unit}]" for leg, unit in zip(legs.names, legs.units, strict=True))
+        return "o in {B} [m]", "roll, pitch, yaw [°]", *readings
+
+    def _cells(self) -> tuple[str, ...]:
+        """Return the cells of a single state for the table in a notebook."""
+        if not self.exists:
+            return (self._absence(),)
+        x, y, z = self.translation
+        roll, pitch, yaw = self.pose.rotation.as_euler("xyz", degrees=True)
+        lengths = (f"{length:.4f}" for length in self.readings)
+        return (f"{x:.4f}, {y:.4f}, {z:.4f}", f"{roll:.2f}, {pitch:.2f}, {yaw:.2f}", *lengths)
 
     def __getitem__(self, index: object) -> Self:
         """Index the batch axes as NumPy would."""

@@ -14,10 +14,9 @@ from spm_pin.errors import ArgumentError
 from spm_pin.formulas import branches, wrenches
 from spm_pin.formulas.operations import on_arrays, rows_of
 from spm_pin.machine.batched import Batched, halves, masked
-from spm_pin.machine.legs import LEGS, triangle_frames
+from spm_pin.machine.legs import triangle_frames
 from spm_pin.machine.machine import ALONE
 from spm_pin.machine.manipulator import Manipulator, check_manipulator
-from spm_pin.support import notebook
 from spm_pin.support.arguments import (
     BoolArray,
     FloatArray,
@@ -79,27 +78,6 @@ class Configuration(Batched):
     def _summary(self) -> str:
         readings = (f"{x:.4f} {unit}" for x, unit in zip(self.readings, self.machine.legs.units, strict=True))
         return f"readings {', '.join(readings)}"
-
-    def _repr_html_(self) -> str:
-        if not self.shape:
-            return notebook.table(repr(self), self._columns, [self._cells()] if self.exists else [])
-        rows = notebook.first_rows(self.shape, lambda index: self[index]._cells())
-        return notebook.table(repr(self), ("index", *self._columns), rows)
-
-    @property
-    def _columns(self) -> tuple[str, ...]:
-        """Heading of the table in a notebook."""
-        readings = (f"{leg} [{unit}]" for leg, unit in zip(LEGS, self.machine.legs.units, strict=True))
-        return "o in {B} [m]", "roll, pitch, yaw [°]", *readings
-
-    def _cells(self) -> tuple[str, ...]:
-        """Return the cells of a single state for the table in a notebook."""
-        if not self.exists:
-            return (self._absence(),)
-        x, y, z = self.translation
-        roll, pitch, yaw = self.pose.rotation.as_euler("xyz", degrees=True)
-        lengths = (f"{length:.4f}" for length in self.readings)
-        return (f"{x:.4f}, {y:.4f}, {z:.4f}", f"{roll:.2f}, {pitch:.2f}, {yaw:.2f}", *lengths)
 
     @property
     def machine(self) -> Manipulator:

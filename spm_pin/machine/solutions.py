@@ -5,7 +5,7 @@ from __future__ import annotations
 import enum
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, ClassVar, Generic, Self, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Generic, Self, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -14,12 +14,11 @@ from scipy.spatial.transform import RigidTransform
 from spm_pin.errors import ArgumentError, NotOneSolutionError, SelectionError
 from spm_pin.machine.batched import Batched, batch_index
 from spm_pin.machine.branch_of_state import BRANCHES, FAMILIES, branch_sign, family
-from spm_pin.machine.configuration import Configuration
-from spm_pin.machine.legs import LEGS, LegLimits
+from spm_pin.machine.configuration import Configuration, check_state
+from spm_pin.machine.legs import LegLimits
 from spm_pin.machine.machine import unit_hint
 from spm_pin.machine.manipulator import Manipulator, check_manipulator
-from spm_pin.machine.stage import Stage
-from spm_pin.machine.stage_configuration import BELOW, OPERATION_MODES, StageConfiguration
+from spm_pin.machine.stage_configuration import BELOW, OPERATION_MODES
 from spm_pin.support import notebook
 from spm_pin.support.arguments import (
     BoolArray,
@@ -34,9 +33,18 @@ from spm_pin.support.arguments import (
 )
 from spm_pin.support.pose import PoseLike, as_rigid_transform
 
+if TYPE_CHECKING:  # a default, with which the bare name is that of a manipulator's solutions, is new in Python 3.13
+    from typing_extensions import TypeVar
+
+    S = TypeVar("S", bound=Batched, default=Configuration)
+else:
+    from typing import TypeVar
+
+    S = TypeVar("S", bound=Batched)
+
+_NEAREST, _REACHED = "For the nearest", "that is reached see spm_pin.workspace.nearest_reachable_pose"
 _FAR_TURN = 45.0
 """Turns of the platform larger than this, which are rare, may be given in another unit of angles [degrees]."""
-S = TypeVar("S", bound=Batched)
 
 
 class Status(enum.IntEnum):
@@ -55,22 +63,77 @@ class Status(enum.IntEnum):
         return self.name.lower()
 
 
+@dataclass(frozen=True)
+class Degeneracy:
+    """Description of the continuous families of solutions, if any."""
+
+    dimension: npt.NDArray[np.int8]
+    """Dimension of the family, shape (...); 0 if all solutions are isolated."""
+    families: BoolArray
+    """True for the continuous ones of TT, TF, FT, FF, shape (..., 4)."""
+    legs: BoolArray
+    """Legs whose lower and upper planes coincide, so that b_i is not restricted to a line, shape (..., 3)."""
+
+    def __getitem__(self, index: tuple[Any, ...]) -> Degeneracy:
+        """Index the batch axes; the last part of `index` is that of the last axis."""
+        return Degeneracy(self.dimension[index[:-1]], self.families[index], self.legs[index])
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class Solutions(Generic[S]):
-    """States along one axis, their labels, and the status of each problem; see `SolutionSet`."""
+class SolutionSet(Generic[S]):
+    """The solutions of one problem, or of a batch of problems, along one axis.
+
+    Parameters
+    ----------
+    configurations : Configuration or StageConfiguration
+        Batch of shape (..., n): the solutions, NaN where one is not real.
+    labels : sequence of n str
+        Names of the positions along the axis.
+    status : array_like of Status, shape (...)
+        Outcome of each problem; `Status` of a single problem, an int8 array of them for a batch.
+    discriminants : ndarray, shape (..., 4), optional
+        Discriminants of the families TT, TF, FT, FF, for inverse displacement: real iff not negative.
+    certain : ndarray of bool, shape (..., 4), optional
+        Families for which `exists` is proved: their discriminant is larger than the effect of all
+        rounding. False for a continuous family, and where the Z axes of {B} and {m} are parallel to
+        1e-12 rad.
+    at_home : ndarray of bool, shape (..., n), optional
+        True for solutions reached from the symmetric home without a forward singularity, without regard to leg limits;
+        computed if not given.
+    degeneracy : Degeneracy, optional
+        Continuous families, legs and dimensions, where `status` is `Status.DEGENERATE`.
+    merged : ndarray of bool, shape (..., n), optional
+        For a calibrated machine: True if the tracked branch or mode of this label met another one while the errors grew
+        from zero to those of the machine. It has vanished, or is a remaining root whose label is arbitrary.
+    radius : ndarray, shape (..., n), optional
+        Radius [m] around each middle joint within which the exact one is, NaN if not proved; exactly one solution
+        has all three joints within it. Given if certification was requested.
+
+    Notes
+    -----
+    A single problem is indexed by its solutions: ``solutions[0]``, ``solutions["TT+"]``. A batch is indexed as NumPy
+    would index its batch axes: ``solutions[i]`` is the `SolutionSet` of problem i; a label picks that solution of every
+    problem. An index that selects nothing raises `SelectionError`. A single problem is a sequence of the solutions of
+    all labels, real or not: `exists` says which are real, and `count` how many.
+
+    Labels are, for a manipulator, the eight branches of a pose, `BRANCHES`, or assembly modes, such as "T1+ F2-"; for a
+    stage the `OPERATION_MODES` T, without torsion, and F, with a half turn, or the sixteen `STAGE_MODES`.
+    """
 
     configurations: S
     labels: tuple[str, ...]
     status: Status | npt.NDArray[np.int8]
-    at_home: BoolArray | None = field(default=None, kw_only=True)
+    discriminants: FloatArray | None = None
+    certain: BoolArray | None = None
+    at_home: BoolArray | None = None
+    degeneracy: Degeneracy | None = None
+    merged: BoolArray | None = None
+    radius: FloatArray | None = None
     _chosen: bool = field(default=False, kw_only=True)
     """True if a mask has excluded solutions."""
 
-    _kind: ClassVar[type[Batched]]
-    """The states."""
-
     def __post_init__(self) -> None:
-        shape = check_instance(self.configurations, self._kind, "configurations").shape
+        shape = check_state(self.configurations, "configurations").shape
         count = len(self.labels)
         if not shape or shape[-1] != count:
             raise ArgumentError("configurations", f"a last axis of {count}, one per label", f"shape {shape}")
@@ -181,7 +244,9 @@ class Solutions(Generic[S]):
         """Keep the solutions where the booleans `mask` (..., n) are true; the others become NaN."""
         kept = boolean_array(mask, "mask", self.exists.shape)
         chosen = self._chosen or bool((self.exists & ~kept).any())
-        return replace(self, configurations=self.configurations.where(kept), _chosen=chosen)
+        states = self.configurations.where(kept)
+        radius = None if self.radius is None else np.where(states.exists, self.radius, np.nan)
+        return replace(self, configurations=states, radius=radius, _chosen=chosen)
 
     def within(self, limits: LegLimits | None = None) -> Self:
         """Keep the solutions within limits of the legs, by default the machine's own; `status` does not change."""
@@ -280,76 +345,6 @@ class Solutions(Generic[S]):
             return f"out of reach: no solution is real{self._hint(index)}"
         return "the method failed here"
 
-    def _degenerate(self, index: tuple[int, ...]) -> str:
-        return "the problem is singular, its solutions are a continuous family"
-
-    def _hint(self, index: tuple[int, ...]) -> str:
-        """Return sentences, each after a full stop, on why a problem has no solution and where one is; may be empty."""
-        return _following([self.configurations.missing_reason])
-
-
-@dataclass(frozen=True)
-class Degeneracy:
-    """Description of the continuous families of solutions, if any."""
-
-    dimension: npt.NDArray[np.int8]
-    """Dimension of the family, shape (...); 0 if all solutions are isolated."""
-    families: BoolArray
-    """True for the continuous ones of TT, TF, FT, FF, shape (..., 4)."""
-    legs: BoolArray
-    """Legs whose lower and upper planes coincide, so that b_i is not restricted to a line, shape (..., 3)."""
-
-    def __getitem__(self, index: tuple[Any, ...]) -> Degeneracy:
-        """Index the batch axes; the last part of `index` is that of the last axis."""
-        return Degeneracy(self.dimension[index[:-1]], self.families[index], self.legs[index])
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class SolutionSet(Solutions[Configuration]):
-    """The solutions of one problem, or of a batch of problems, along one axis.
-
-    Parameters
-    ----------
-    configurations : Configuration
-        Batch of shape (..., n): the solutions, NaN where one is not real.
-    labels : sequence of n str
-        Names of the positions along the axis.
-    status : array_like of Status, shape (...)
-        Outcome of each problem; `Status` of a single problem, an int8 array of them for a batch.
-    discriminants : ndarray, shape (..., 4), optional
-        Discriminants of the families TT, TF, FT, FF, for inverse displacement: real iff not negative.
-    certain : ndarray of bool, shape (..., 4), optional
-        Families for which `exists` is proved: their discriminant is larger than the effect of all
-        rounding. False for a continuous family, and where the Z axes of {B} and {m} are parallel to
-        1e-12 rad.
-    at_home : ndarray of bool, shape (..., n), optional
-        True for solutions reached from the symmetric home without a forward singularity, without regard to leg limits;
-        computed if not given.
-    degeneracy : Degeneracy, optional
-        Continuous families, legs and dimensions, where `status` is `Status.DEGENERATE`.
-    merged : ndarray of bool, shape (..., n), optional
-        For a calibrated machine: True if the tracked branch or mode of this label met another one while the errors grew
-        from zero to those of the machine. It has vanished, or is a remaining root whose label is arbitrary.
-    radius : ndarray, shape (..., n), optional
-        Radius [m] around each middle joint within which the exact one is, NaN if not proved; exactly one solution
-        has all three joints within it. Given if certification was requested.
-
-    Notes
-    -----
-    A single problem is indexed by its solutions: ``solutions[0]``, ``solutions["TT+"]``. A batch is indexed as NumPy
-    would index its batch axes: ``solutions[i]`` is the `SolutionSet` of problem i; a label picks that solution of every
-    problem. An index that selects nothing raises `SelectionError`. A single problem is a
-    sequence of the solutions of all labels, real or not: `exists` says which are real, and `count` how many.
-    """
-
-    discriminants: FloatArray | None = None
-    certain: BoolArray | None = None
-    degeneracy: Degeneracy | None = None
-    merged: BoolArray | None = None
-    radius: FloatArray | None = None
-
-    _kind = Configuration
-
     @classmethod
     def from_unordered(
         cls, machine: Manipulator, pose: PoseLike, middle_joints: npt.ArrayLike, solved: npt.ArrayLike = True
@@ -384,16 +379,16 @@ class SolutionSet(Solutions[Configuration]):
             received = f"{joints[index].tolist()} at index {index}"
             raise ArgumentError("middle_joints", "three points that are not in a line", received, cause)
         branches, status = _in_canonical_order(machine, transform, joints, good)
-        return cls(branches, BRANCHES, status)
+        return SolutionSet(branches, BRANCHES, status)
 
     @property
-    def middle_joints(self) -> FloatArray:
+    def middle_joints(self: SolutionSet) -> FloatArray:
         """Ball joint centres b_1, b_2, b_3 as rows in {B} [m], shape (..., n, 3, 3); NaN where not real."""
         return self.configurations.middle_joints
 
     @property
     def leg_lengths(self) -> FloatArray:
-        """r_b1 to r_c3 [m], shape (..., n, 6); NaN where not real."""
+        """Distances of balls and pivots, r_b1 to r_c3 [m], shape (..., n, legs); NaN where not real."""
         return self.configurations.leg_lengths
 
     def _repr_html_(self) -> str:
@@ -402,10 +397,11 @@ class SolutionSet(Solutions[Configuration]):
             return notebook.table(repr(self), ("status", "problems"), [(name, f"{count:,}") for name, count in tally])
         places = np.flatnonzero(self.exists)[: notebook.MOST_ROWS]
         names = {int(k): self.labels[k] + ", physical" * bool(self.is_physical[k]) for k in places}
-        if self.labels == BRANCHES:
-            header = ("branch", *(f"{leg} [m]" for leg in LEGS))
+        if self.labels in (BRANCHES, OPERATION_MODES):
+            legs = self.machine.legs
+            header = ("branch", *(f"{leg} [{unit}]" for leg, unit in zip(legs.names, legs.units, strict=True)))
             rows = [[names[k], *(f"{length:.4f}" for length in self.readings[k])] for k in names]
-        else:  # assembly modes have the same leg lengths and differ in their pose
+        else:  # assembly modes have the same readings and differ in their pose
             header = ("mode", "x [m]", "y [m]", "z [m]", "roll [°]", "pitch [°]", "yaw [°]")
             angles = self.configurations[places].pose.rotation.as_euler("xyz", degrees=True)
             rows = [
@@ -415,12 +411,6 @@ class SolutionSet(Solutions[Configuration]):
         if self.count > len(rows):
             rows.append([f"and {self.count - len(rows)} more"])
         return notebook.table(repr(self), header, rows)
-
-    def where(self, mask: npt.ArrayLike) -> SolutionSet:
-        """Keep the solutions where the booleans `mask` (..., n) are true; the others become NaN."""
-        kept = super().where(mask)
-        radius = None if self.radius is None else np.where(kept.exists, self.radius, np.nan)
-        return replace(kept, radius=radius)
 
     def _degenerate(self, index: tuple[int, ...]) -> str:
         if self.labels == BRANCHES and self.degeneracy is not None and self.degeneracy.legs[index].all():
@@ -432,35 +422,21 @@ class SolutionSet(Solutions[Configuration]):
         return "the pose or the leg lengths are singular: the solutions are a continuous family; see .degeneracy"
 
     def _hint(self, index: tuple[int, ...]) -> str:
-        reasons = [self.configurations.missing_reason or unit_hint(self.machine, self.translation[index][0])]
+        """Return sentences, each after a full stop, on why a problem has no solution and where one is; may be empty."""
+        states = self.configurations
+        reasons = [states.missing_reason]
+        if self.machine.is_stage:
+            if self.labels == OPERATION_MODES:
+                below = (self.translation[index][..., 2] < 0.0).any() and not self.is_physical[index].any()
+                reasons += [BELOW * bool(below), f"{_NEAREST} tilt {_REACHED}"]
+            return _following(reasons)
+        reasons[0] = reasons[0] or unit_hint(self.machine, self.translation[index][0])
         if self.labels == BRANCHES:
             turn = np.degrees(np.arccos(np.clip((np.trace(self.rotation[index][0]) - 1.0) / 2.0, -1.0, 1.0)))
             if turn > _FAR_TURN:
                 reasons.append(f"The platform is turned by {turn:.0f}° relative to the base: angles are in radians")
-            reasons.append("For the nearest pose that is reached see spm_pin.workspace.nearest_reachable_pose")
+            reasons.append(f"{_NEAREST} pose {_REACHED}")
         return _following(reasons)
-
-
-class StageSolutions(Solutions[StageConfiguration]):
-    """The states of a stage that solve one problem, or a batch of problems, along one axis; see `SolutionSet`.
-
-    An inverse displacement has two, labelled by the operation modes T, without torsion, and F, a half turn; a forward
-    displacement the sixteen of `spm_pin.kinematics.STAGE_MODES`.
-    """
-
-    _kind = StageConfiguration
-
-    @property
-    def stage(self) -> Stage:
-        """The stage."""
-        return self.configurations.stage
-
-    def _hint(self, index: tuple[int, ...]) -> str:
-        nearest = "For the nearest tilt that is reached see spm_pin.workspace.nearest_reachable_pose"
-        if self.labels != OPERATION_MODES:
-            return super()._hint(index)
-        below = (self.configurations.height[index] < 0.0).any() and not self.is_physical[index].any()
-        return _following([self.configurations.missing_reason, BELOW * bool(below), nearest])
 
 
 def least_tilted(states: Batched, candidates: BoolArray) -> IntArray:

@@ -20,7 +20,7 @@ from spm_pin.kinematics import (
 )
 from spm_pin.kinematics.stage_displacement import normals_of_tilt
 from spm_pin.kinematics.stage_rates import motion_rows
-from spm_pin.machine import Configuration, LegLimits, Manipulator, SolutionSet, Stage, StageSolutions, Status
+from spm_pin.machine import Configuration, LegLimits, Manipulator, SolutionSet, Stage, Status
 from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.support.arguments import BoolArray, FloatArray, frozen
 
@@ -106,7 +106,7 @@ class Points:
         return frozen(self.limits.contains(self.branch_readings))
 
     @cached_property
-    def solutions(self) -> SolutionSet | StageSolutions:
+    def solutions(self) -> SolutionSet | SolutionSet[StageConfiguration]:
         """All branches of the pose, leg limits not applied, of shape (N,); for a stage the modes of the tilt.
 
         If points are readings, the pose is that of `assembled`; where it does not exist, no branch exists.

@@ -30,7 +30,6 @@ from spm_pin.machine import (
     SolutionSet,
     Stage,
     StageConfiguration,
-    StageSolutions,
     Status,
     as_rigid_transform,
     joint_angles,
@@ -177,7 +176,7 @@ def _segment_distance2(p: FloatArray, u: FloatArray, q: FloatArray, v: FloatArra
 class Reachability:
     """Reachability of poses of shape (...), with margins."""
 
-    branches: SolutionSet | StageSolutions
+    branches: SolutionSet | SolutionSet[StageConfiguration]
     """All eight branches of each pose, limits not applied, shape (...); for a stage both modes of the tilt."""
     allowed: BoolArray
     """Mask of branches that count and keep all limits, shape (..., 8); for a stage (..., 2), as in all fields below."""
@@ -239,7 +238,10 @@ def _reachable_by_stage(
 
 
 def _reachability(
-    branches: SolutionSet | StageSolutions, limits: LegLimits | None, joints: JointLimits | None, branch: str
+    branches: SolutionSet | SolutionSet[StageConfiguration],
+    limits: LegLimits | None,
+    joints: JointLimits | None,
+    branch: str,
 ) -> Reachability:
     choice(branch, "branch", ("physical", "any", *branches.labels))
     joints = JointLimits() if joints is None else check_instance(joints, JointLimits, "joints")

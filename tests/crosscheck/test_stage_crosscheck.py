@@ -62,7 +62,7 @@ class Tilted(ClosedForm):
 
     name: str = "tilted"
 
-    def inverse(self, pose: RigidTransform) -> spm.kinematics.StageSolutions:
+    def inverse(self, pose: RigidTransform) -> spm.SolutionSet:
         return super().inverse(pose * RigidTransform.from_rotation(Rotation.from_rotvec([1e-6, 0.0, 0.0])))
 
 

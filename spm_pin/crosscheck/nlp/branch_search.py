@@ -25,9 +25,8 @@ from spm_pin.crosscheck.ball_states import states_with_balls
 from spm_pin.crosscheck.nlp import loop_equations
 from spm_pin.crosscheck.nlp.batched_newton import LoopEquations, RootCertificate, certify_root, newton
 from spm_pin.errors import ArgumentError
-from spm_pin.machine import PoseLike, SolutionSet, Status, as_rigid_transform
+from spm_pin.machine import PoseLike, SolutionSet, StageConfiguration, Status, as_rigid_transform
 from spm_pin.machine.machine import Machine, check_machine
-from spm_pin.machine.solutions import StageSolutions
 from spm_pin.support.arguments import (
     BoolArray,
     FloatArray,
@@ -64,7 +63,7 @@ _UNUSABLE = ("Invalid_Option", "Invalid_Problem_Definition", "Insufficient_Memor
 class Search:
     """Branches found by a multi-start, and what is proved about them; arrays over the batch of poses (...)."""
 
-    solutions: SolutionSet | StageSolutions
+    solutions: SolutionSet | SolutionSet[StageConfiguration]
     """The branches: of a nominal manipulator under the canonical labels; otherwise a set, numbered from 1.
     `Status.UNREACHABLE` where none was found and `infeasibility` is not rounding; `Status.UNSOLVED` where the search
     failed."""
@@ -275,19 +274,18 @@ def _collect(machine: Any, transform: Any, runs: list[Multistart]) -> Search:
     by_place[~np.isfinite(readings).all(axis=-1)] = np.nan
     is_lost = (status == Status.OK) & np.isnan(by_place[..., 0, 0]).all(axis=-1)
     status = np.where(is_lost, Status.UNREACHABLE, status)
-    ordered: SolutionSet | StageSolutions
+    ordered: SolutionSet | SolutionSet[StageConfiguration]
     if machine.is_nominal and not machine.is_stage:
         ordered = SolutionSet.from_unordered(machine, transform, by_place, status != Status.UNSOLVED)
         status = np.where(status == Status.DEGENERATE, status, ordered.status)
         branches = ordered.middle_joints
     else:
-        kind: Any = StageSolutions if machine.is_stage else SolutionSet
         most = 2 if machine.is_stage else MOST_BRANCHES
         absent = np.isnan(by_place[..., 0, 0])
         status = np.where((~absent).sum(axis=-1) > most, Status.UNSOLVED, status)
         order = np.argsort(absent, axis=-1, kind="stable")[..., :most, None, None]
         branches = np.take_along_axis(by_place, order, axis=-3)
-        ordered = kind(states_with_balls(machine, matrices, branches), NUMBERS[:most], status)
+        ordered = SolutionSet(states_with_balls(machine, matrices, branches), NUMBERS[:most], status)
     # Hits, sigma, error and isolation of each branch.
     flat = branches.reshape(len(runs), branches.shape[-3], 9)
     facts = np.full((4, *flat.shape[:2]), np.nan)
