@@ -212,6 +212,16 @@ def _read_pose(rotation: FloatArray, position: FloatArray, n: int, unit: float) 
 
 
 @jit_inline
+def _put_pose(
+    rotation: FloatArray, position: FloatArray, n: int, rotation_copy: FloatArray, position_copy: FloatArray
+) -> None:
+    """Copy pose n, element by element: Numba takes three seconds to compile the assignment of an array."""
+    put_rows(rows_at(rotation[n], 0), rotation_copy[n])
+    for i in range(3):
+        position_copy[n, i] = position[n, i]
+
+
+@jit_inline
 def _put_start(roots: FloatArray, k: int, b: Rows) -> None:
     """Write a real branch of the nominal machine, its lower balls, as root k."""
     # The axes are the rows of the transposed rotation.
@@ -303,7 +313,7 @@ def calibrated_branches(
     label_of, root_of, units = np.empty(8, np.int64), np.empty(8, np.int64), (unit, unit, unit)
     for n in range(len(position)):
         turn, place = _read_pose(rotation, position, n, unit)
-        rotation_copy[n], position_copy[n] = rotation[n], position[n]
+        _put_pose(rotation, position, n, rotation_copy, position_copy)
         joints[n], lengths[n], is_carried[n] = np.nan, np.nan, 2
         if len(complex_joints):
             complex_joints[n] = np.nan
@@ -466,9 +476,10 @@ def calibrated_physical_branch(
                 if is_other_preferred(best_rank, best_tilts, rank, tilts):
                     best_rank, best_tilts = rank, tilts
                     put_rows(multiples((unit, unit, unit), b), joints[n])
-                    lengths[n] = own
+                    for i in range(6):
+                        lengths[n, i] = own[i]
             if not few:
                 break
             few = False
         if best_rank > 0.0:
-            rotation_copy[n], position_copy[n] = rotation[n], position[n]
+            _put_pose(rotation, position, n, rotation_copy, position_copy)

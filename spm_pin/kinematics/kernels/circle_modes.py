@@ -399,7 +399,7 @@ def _put_labelled(
     for k in range(count):
         if owner[k] >= 0:
             merged[owner[k]] = False
-            balls[owner[k]] = roots[k]
+            put_rows(rows_at(roots[k], 0), balls[owner[k]])
     for k in range(count):
         if owner[k] >= 0:
             continue
@@ -410,7 +410,7 @@ def _put_labelled(
             if math.isnan(balls[label, 0, 0]) and fits > most:
                 best, most = label, fits
         merged[best] = True
-        balls[best] = roots[k]
+        put_rows(b, balls[best])
 
 
 @jit
@@ -455,7 +455,7 @@ def _put_stage(
         for k in range(MODES):
             merged[k] = False
             count += not math.isnan(modes[k, 0, 0])
-        balls[:] = r * modes
+            put_rows(multiples((r, r, r), rows_at(modes[k], 0)), balls[k])
         return count, straight or half_turned or is_countable(q0, q1, q2, epsilon), straight, half_turned
     count, is_complete = real_modes(stage, found, roots)
     _put_labelled(drawn, modes, r, stage, up, roots, count, balls, merged)

@@ -200,7 +200,8 @@ def _register() -> None:
     _add_formulas()
     while _functions:
         function, options = _functions.pop()
-        register_jitable(error_model="numpy", **options)(function)
+        # Nothing but kernels calls it: the wrapper for C would be a tenth of the time of compiling.
+        register_jitable(error_model="numpy", no_cfunc_wrapper=True, **options)(function)
 
 
 @cache
