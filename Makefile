@@ -11,7 +11,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt
 
-.PHONY: demo test test-docs test-slow coverage bench lint docs figures description clean
+.PHONY: demo test test-docs test-slow coverage bench lint kernels docs figures description clean
 
 demo: $(VENV)/.demo
 	@mkdir -p build
@@ -20,7 +20,9 @@ demo: $(VENV)/.demo
 # A worker has one core: threads of OpenBLAS beside those of the others would wait for one another.
 test test-docs test-slow coverage: export OPENBLAS_NUM_THREADS := 1
 
-test: lint
+# Workers that begin together would each compile what they need first.
+test: $(VENV)/.test
+	@$(MAKE) --no-print-directory --jobs=2 lint kernels
 	$(BIN)/python -m pytest $(PYTEST) -m "not slow and not documents"
 	@echo "Not run here: pages, examples and benchmarks (make test-docs), sweeps and long comparisons (make test-slow)"
 
@@ -43,6 +45,9 @@ lint: $(VENV)/.test
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
+
+kernels: $(VENV)/.test
+	@$(BIN)/python -c "import logging, spm_pin; logging.disable(); spm_pin.kinematics.compile_kernels()"
 
 # The documentation as a static site in build/site; `make figures` draws its figures anew,
 # but for those of the viewer, which need Chromium: docs/site/viewer_figures.py; and MuJoCo's, docs/site/engine_figure.py.
