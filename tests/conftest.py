@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import signal
 from collections.abc import Generator
 from importlib.util import find_spec
@@ -8,9 +9,11 @@ from importlib.util import find_spec
 import pytest
 from hypothesis import settings
 
-# Examples vary in cost with what else the machine does; a deadline would measure that.
-settings.register_profile("no deadline", deadline=None)
-settings.load_profile("no deadline")
+# Examples vary in cost with what else the machine does; a deadline would measure that. Every run draws the same ones;
+# HYPOTHESIS_PROFILE=search draws others, and more.
+settings.register_profile("repeatable", deadline=None, derandomize=True)
+settings.register_profile("search", deadline=None, max_examples=1000)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
 # PyTorch belongs to no extra, as its wheels for x86 need gigabytes of CUDA: where it is not, its tests do not exist.
 collect_ignore = [] if find_spec("torch") else ["arrays/test_torch.py"]
