@@ -102,7 +102,9 @@ def ros_package(
     package_files = {
         path.removeprefix("ros/").removesuffix(".in"): rendered(path, values) for path in template_names("ros/")
     }
-    hardware = _hardware(machine, package, slides, zeros, readings)
+    initial = [reading - zero for reading, zero in zip(readings, zeros, strict=True)]
+    driven = list(zip(slides, initial, *(machine.reading_limits - zeros).tolist(), strict=True))
+    hardware = rendered("ros2_control.xml", {"package": package, "joints": driven, "infinity": np.inf})
     package_files["urdf/spm.urdf"] = urdf.replace("</robot>", f"{hardware}</robot>")
     package_files["urdf/spm.srdf"] = srdf_text(machine=machine, prefix=prefix)
     package_files |= {
@@ -204,18 +206,3 @@ def start_readings(machine: Any) -> tuple[list[float], Any]:
         if states.exists.all():
             return readings.tolist(), states[1]
     raise ArgumentError("machine", "leg limits with a state in their middle", machine)
-
-
-def _hardware(machine: Machine, name: str, slides: list[str], zeros: list[float], readings: list[float]) -> str:
-    """Return the description's `<ros2_control>`: the actuated joints, their zeros and units the description's."""
-    limits = machine.limits or machine.legs.free_limits
-    lines = [f'  <ros2_control name="{name}" type="system">', "    <hardware>"]
-    lines += ["      <plugin>mock_components/GenericSystem</plugin>", "    </hardware>"]
-    for leg, (slide, zero, reading) in enumerate(zip(slides, zeros, readings, strict=True)):
-        lines += [f'    <joint name="{slide}">', '      <command_interface name="position">']
-        ends = (("min", limits.minimum[leg]), ("max", limits.maximum[leg]))
-        lines += [f'        <param name="{end}">{x - zero!r}</param>' for end, x in ends if np.isfinite(x)]
-        lines += ["      </command_interface>", '      <state_interface name="position">']
-        lines += [f'        <param name="initial_value">{reading - zero!r}</param>', "      </state_interface>"]
-        lines += ["    </joint>"]
-    return "\n".join([*lines, "  </ros2_control>", ""])
