@@ -96,7 +96,6 @@ def _compare(machine: Machine, poses: int, seed: int, methods: list[str] | None)
 
 
 def _exit_code(report: Report, failed: bool = False) -> int:
-    """Return the exit code of a comparison, which Ctrl-C may have ended early."""
     return 130 if report.poses < report.requested else int(failed or not report.agrees)
 
 
@@ -274,7 +273,6 @@ def _summary(heading: str, reproduction: Reproduction) -> Sentence:
 
 
 def _tables_summary(reproduction: Reproduction) -> Table:
-    """Return the number of cells of each table that agree."""
     rows = {number: [cell.verdict for cell in reproduction.table(number)] for number in _TITLES}
     columns: dict[str, Any] = {"": lambda n: _TITLES[n].partition(" (")[0], "cells": lambda n: str(len(rows[n]))}
     columns |= {str(verdict): lambda n, verdict=verdict: str(rows[n].count(verdict)) for verdict in Verdict}

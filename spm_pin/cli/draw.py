@@ -89,11 +89,7 @@ def titled_branches(solutions: Any, labels: list[str]) -> dict[str, Configuratio
 
 
 def _requested(typed: MachineInUnits, pose: Request | None, legs: Any) -> tuple[Any, Any]:
-    """Return the branches of the requested pose, and the one to use if none is named.
-
-    That is the physical one, or else the first; with `legs` the state of these; without options, a regular
-    configuration near the home.
-    """
+    """Return the branches of the requested pose, and the one to use if none is named: the physical or the first."""
     machine, kind = typed.machine, request_of(typed.machine)
     if pose is None and legs is None:
         state = kind.start(machine)

@@ -15,7 +15,7 @@ import numpy as np
 
 from spm_pin.cli.units import MachineInUnits
 from spm_pin.display.writing import fixed
-from spm_pin.errors import ArgumentError, PoseError
+from spm_pin.errors import ArgumentError, PoseError, sentence
 from spm_pin.kinematics.forward_displacement import forward_physical, starting_configuration
 from spm_pin.kinematics.inverse_displacement import inverse_displacement, inverse_physical
 from spm_pin.machine import FAMILIES, LegLimits, SolutionSet, Status, pose
@@ -282,11 +282,6 @@ class TiltRequest(Request):
 def request_of(machine: Any) -> type[Request]:
     """Return the kind of request that a machine has."""
     return TiltRequest if machine.is_stage else Request
-
-
-def sentence(text: str) -> str:
-    """Return a text that begins with a capital letter."""
-    return text[:1].upper() + text[1:]
 
 
 def family_remarks(solutions: Any) -> list[str]:
