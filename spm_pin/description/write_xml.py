@@ -175,10 +175,7 @@ def _motors(robot: Robot) -> Iterable[Element]:
 
 
 def _servos(robot: Robot, machine: Machine, zeros: FloatArray) -> Iterable[Any]:
-    """Yield servos, critically damped: three hold all moving masses with the frequency `SERVO`.
-
-    The command of each is a reading, not the value of its joint.
-    """
+    """Yield servos whose commands are readings, critically damped; three hold all moving masses with `SERVO`."""
     said = "ctrl is the reading of each leg, in metres, for cranks in radians: the value of its joint plus "
     assumed = "Their largest forces are assumed, and all masses that were not given, by the machine's size."
     yield ElementTree.Comment(f" {said}{written(zeros)}. {assumed} ")
@@ -247,10 +244,7 @@ def _body(
     meshes: Mapping[tuple[str, Numbers], str],
     collisions: str,
 ) -> Element:
-    """Return the body of a link, with those of its child links inside, placed as in the home.
-
-    From these poses an engine computes the anchor of a closure in the second body.
-    """
+    """Return the body of a link, those of its child links inside, in the home, from which engines take anchors."""
     link, joint, parts = robot.links[name], robot.joint_to.get(name), []
     place = {} if joint is None else _place(joint.placement)
     if joint is not None and joint.moves:
