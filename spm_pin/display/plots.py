@@ -223,7 +223,6 @@ def save_picture(
 
 
 def _check_appearance(width: int, narrowest: int, background: str) -> None:
-    """Check the width of a picture in pixels, and the colour behind it."""
     if not isinstance(width, int) or not narrowest <= width <= _WIDEST:
         expected = f"at least {narrowest}" if isinstance(width, int) and width < narrowest else f"at most {_WIDEST}"
         raise ArgumentError("width", f"{expected} pixels, a whole number", width)

@@ -53,10 +53,7 @@ def legend_below(figure: Figure, handles: Sequence[Any] = (), *, columns: int = 
 
 
 def write_name(ax: Axes, place: tuple[float, float], text: str, size: float, colour: Any, halo: float) -> None:
-    """Write a name of `size` points at a place, centred, above a white halo of a relative width.
-
-    The halo is an outline; the name itself stays text in vector files.
-    """
+    """Write a name of `size` points, centred, above a white halo of a relative width; it stays text in vector files."""
     from matplotlib.patheffects import Stroke
 
     centred: dict[str, Any] = {"fontsize": size, "ha": "center", "va": "center"}

@@ -358,7 +358,6 @@ def _flat(matrix: Any) -> Any:
 
 
 def _known_answers(machine: Manipulator, available: list[StateFunction]) -> dict[str, Any]:
-    """Return the tables of the test program."""
     rng, rise = np.random.default_rng(17), sum(machine.dimensions)
     # In the home assembly region; then poses anywhere, and one out of reach.
     held = _held_states(machine, rng)[: _CASES - 4]
@@ -397,7 +396,6 @@ def _held_states(machine: Manipulator, rng: np.random.Generator) -> Configuratio
 
 
 def _is_nominal(machine: Manipulator) -> bool:
-    """Return whether axes, pivots and balls are nominal."""
     legs = zip(machine.legs.arrays[:3], machine.nominal.legs.arrays[:3], strict=True)
     return all(np.array_equal(own, drawn) for own, drawn in legs)
 

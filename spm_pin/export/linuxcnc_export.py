@@ -205,5 +205,4 @@ class _StageAlone(_Machine):
 
 
 def _number(x: float) -> str:
-    """Return a number of millimetres or degrees with at most nine decimals."""
     return np.format_float_positional(round(float(x), 9) + 0.0, trim="0")

@@ -144,7 +144,6 @@ def _joint_values(stage: Stage) -> ca.Function:
 
 
 def _flat(frame: LegFrame) -> FloatArray:
-    """Return the constants of a leg one after the other."""
     return np.concatenate([np.ravel(part) for part in frame])
 
 
