@@ -289,11 +289,8 @@ def _free_place(joints: FloatArray, others: list[FloatArray]) -> FloatArray:
 
 def _beside_legs(state: Configuration | StageConfiguration, distance: float) -> FloatArray:
     """Return points (legs, 3) beside the middles of the legs, away from the axis of their stage."""
-    platforms = [state.translation]
-    if isinstance(state, Configuration):
-        platforms.insert(0, state.middle_pose.translation)
-    ends = np.array([np.zeros(3), *platforms])
-    centres = (0.5 * (ends[:-1] + ends[1:])).repeat(3, axis=0)
+    ends = np.array([np.zeros(3), state.middle_pose.translation, state.translation])
+    centres = (0.5 * (ends[:-1] + ends[1:])).repeat(3, axis=0)[: len(state.balls)]
     middles = 0.5 * (state.leg_bases + state.balls)
     return np.asarray(middles + distance * _unit(middles - centres))
 
