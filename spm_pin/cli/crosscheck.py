@@ -246,7 +246,7 @@ def reproduce(
         "diagnoses": [
             {"row": each.row, "mistakes": each.names, "values": each.values} for each in reproduction.diagnoses
         ],
-        "equation_17_real_roots": vars(reproduction.equation_17),
+        "equation_17_real_roots": reproduction.equation_17,
     }
     if out is not None:
         outputs.write_json(content, out)
@@ -344,7 +344,7 @@ def _findings(reproduction: Reproduction) -> list[str]:
     if any(cell.table < 5 for cell in reproduction.cells):
         equation = reproduction.equation_17
         lines.append(
-            f"Eq. (17): with the signs as printed |U| = 0 has {equation.printed} real roots; with the product "
-            f"of Eq. (16) moved across correctly it has {equation.mended}, and the example has {equation.true}."
+            f"Eq. (17): with the signs as printed |U| = 0 has {equation['printed']} real roots; with the product "
+            f"of Eq. (16) moved across correctly it has {equation['mended']}, and the example has {equation['true']}."
         )
     return lines
