@@ -14,6 +14,8 @@ import numpy.typing as npt
 from scipy.spatial import KDTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from spm_pin.description.robot import read_robot
+from spm_pin.description.tree import joint_values
 from spm_pin.display.writing import fixed
 from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.kinematics import (
@@ -31,7 +33,6 @@ from spm_pin.kinematics.readings import read_readings
 from spm_pin.machine import FAMILIES, LEGS, Configuration, Manipulator, SolutionSet, Stage, StageConfiguration, Status
 from spm_pin.machine.batched import Batched
 from spm_pin.machine.branch_of_state import family
-from spm_pin.multibody.chain import ClosedChain
 from spm_pin.support.arguments import BoolArray, FloatArray, real_array
 from spm_pin.support.pose import inverse_command
 from spm_pin.workspace.poses import nearest_reachable_pose, pose_distance
@@ -182,7 +183,7 @@ class Model:
 
 
 class ViewerModel(Model):
-    """A manipulator's state and its transitions, from a configuration that exists; `chain` gives q."""
+    """A manipulator's state and its transitions, from a configuration that exists."""
 
     state: SessionState
 
@@ -195,9 +196,9 @@ class ViewerModel(Model):
     hint = "The paper's X-Y-X, or about the fixed axes X, Y, Z as in a URDF"
     values_name = "q"
 
-    def __init__(self, start: Configuration, chain: ClosedChain | None = None, file: Path | None = None) -> None:
+    def __init__(self, start: Configuration, file: Path | None = None) -> None:
         super().__init__(file)
-        self.chain = chain
+        self.joints = [joint.name for joint in read_robot(start.machine).moving]
         solutions = inverse_displacement(start.machine, start.pose)
         label = _label(solutions, start, "")
         self.state = SessionState(start.pose, start, 0.0, np.zeros(6), label=label, solutions=solutions)
@@ -277,12 +278,11 @@ class ViewerModel(Model):
 
     def values(self) -> FloatArray:
         """Return q of the state shown, in Pinocchio's order [rad, m]."""
-        assert self.chain is not None
-        return self.chain.joint_values(self.state.shown)
+        values = joint_values(self.state.shown)
+        return np.array([values[joint] for joint in self.joints])
 
     def data(self) -> dict[str, Any]:
         """Return the state shown as data for JSON, in metres, radians and newtons."""
-        assert self.chain is not None
         state, shown, kind = self.state, self.state.shown, self.state.singularities
         numbers = {name: getattr(kind, name) for name in ("sigma", "condition", "scaled_determinants")}
         numbers["leg_travel"] = state.travel
@@ -298,7 +298,7 @@ class ViewerModel(Model):
             "readings": dict(zip(LEGS, shown.readings, strict=True)),
             "middle_joints": shown.middle_joints,
             "closure_residual": shown.closure_residual,
-            "q": dict(zip(self.chain.joint_names, self.values(), strict=True)),
+            "q": dict(zip(self.joints, self.values(), strict=True)),
             "physical": state.is_physical,
             "singularity": {
                 "kind": str(SingularityKind(int(kind.kind))),
