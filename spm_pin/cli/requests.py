@@ -288,7 +288,7 @@ def family_remarks(solutions: Any) -> list[str]:
     """Return sentences on a level pose that is held nowhere, or on a continuous family of solutions."""
     if solutions.status is Status.UNREACHABLE and abs(solutions.rotation[..., 2, 2]).max() == 1.0:
         return ["A level platform is held only with its centre o on the Z axis of the base, and then in many ways."]
-    degeneracy = getattr(solutions, "degeneracy", None)
+    degeneracy = solutions.degeneracy
     if solutions.status is not Status.DEGENERATE or degeneracy is None:
         return []
     families = ", ".join(f for f, hit in zip(FAMILIES, degeneracy.families, strict=True) if hit)
@@ -399,6 +399,6 @@ def status_line(solutions: Any, what: str, typed: MachineInUnits) -> str:
 
 def solutions_content(solutions: Any, typed: MachineInUnits) -> Record:
     """Return the JSON content common to all solutions: their units, the status, and any continuous family."""
-    degeneracy = getattr(solutions, "degeneracy", None)
+    degeneracy = solutions.degeneracy
     family = degeneracy and {name: getattr(degeneracy, name) for name in ("dimension", "families", "legs")}
     return {**typed.content(), "status": str(solutions.status), "degeneracy": family}

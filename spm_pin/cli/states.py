@@ -52,7 +52,7 @@ def inverse(pose: Request, typed: MachineInUnits) -> Report:
     code = requests.exit_code(solutions.status, physical)
     reached = pose.nearest() if code in (3, 5) else None
     content = requests.solutions_content(solutions, typed)
-    if hasattr(solutions, "discriminants"):
+    if not typed.machine.is_stage:
         content["discriminants"] = solutions.discriminants
     content |= {"branches": records, "nearest": _nearest_record(reached, typed)}
     columns: dict[str, Any] = {pose.solution: itemgetter("label"), **typed.columns()}
