@@ -9,7 +9,7 @@ import numpy as np
 
 from spm_pin.export.c_export import c_sources
 from spm_pin.export.c_texts import common_values, rendered, write_sources
-from spm_pin.export.ros_export import ASSUMED, ends_of_travel, start_readings, travel
+from spm_pin.export.ros_export import ASSUMED, start_readings, travel
 from spm_pin.export.stage_export import stage_c_sources, stage_machine_sources
 from spm_pin.kinematics import forward_physical, inverse_physical
 from spm_pin.machine import Manipulator, Stage, pose
@@ -185,10 +185,8 @@ class _StageAlone(_Machine):
     includes = '#define STAGE_DOUBLE\n#include "stage_read_machine.h"'
 
     def __init__(self, stage: Any) -> None:
-        level = inverse_physical(stage, home_height(stage))
-        self.machine, self.home = stage, level.readings
-        stroke = np.hypot(*level.places.T) / np.abs(stage.legs.largest_slopes)
-        self.ends = ends_of_travel(stage.reading_limits, self.home, stroke)
+        self.machine, self.ends = stage, travel(stage)
+        self.home = inverse_physical(stage, home_height(stage)).readings
         self.sources = {"stage.h": stage_c_sources(stage)["stage.h"], **stage_machine_sources(stage)}
 
     def axis_values(self, readings: FloatArray) -> FloatArray:

@@ -177,14 +177,8 @@ def _checked_name(name: str, argument: str) -> str:
 
 def travel(machine: Machine) -> tuple[FloatArray, FloatArray]:
     """Return the smallest and largest readings, without limits those of a `_stroke` about the home."""
-    home = home_readings(machine) + machine.legs.offsets
-    limits = machine.limits or machine.legs.free_limits
-    return ends_of_travel(limits.ends, home, _stroke(machine))
-
-
-def ends_of_travel(limits: FloatArray, home: FloatArray, stroke: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the smallest and largest readings of limits (2, legs), without limits a stroke about the home."""
-    minimum, maximum = limits
+    home, stroke = home_readings(machine) + machine.legs.offsets, _stroke(machine)
+    minimum, maximum = (machine.limits or machine.legs.free_limits).ends
     low = np.where(np.isfinite(minimum), minimum, home - stroke)
     return low, np.minimum(maximum, np.maximum(low, home) + stroke)
 
