@@ -83,8 +83,6 @@ def export(
         if value and name not in own:
             raise outputs.cannot_be_used(f"--{name.replace('_', '-')}", f"--format {chosen}")
     is_stage = machine.is_stage
-    if ball and not is_stage:
-        raise ArgumentError("--ball", "a single stage, on which it rolls", "a manipulator")
     if chosen in ("c", "c-stage") and is_stage != (chosen == "c-stage"):
         kinds = ("a manipulator", "a stage: its file, or --base, --platform and so on")
         received = "a stage" if is_stage else "a manipulator" if typed.given else "none"

@@ -186,12 +186,7 @@ def _servos(robot: Robot, machine: Machine, zeros: FloatArray) -> Iterable[Any]:
 def _stage_under(ball: Ball, machine: Machine) -> Stage:
     check_instance(ball, Ball, "ball")
     if not isinstance(machine, Stage):
-        raise DescriptionError(
-            "ball",
-            "None for a manipulator of two stages",
-            "a ball",
-            "A ball rolls on the platform of a single stage only",
-        )
+        raise DescriptionError("ball", "a single stage, on which it rolls", "a manipulator")
     return machine
 
 
