@@ -69,24 +69,20 @@ class Task:
         cls,
         height: npt.ArrayLike,
         *,
-        tilt: npt.ArrayLike | None = None,
-        azimuth: npt.ArrayLike | None = None,
-        roll: npt.ArrayLike | None = None,
-        pitch: npt.ArrayLike | None = None,
-        normal: npt.ArrayLike | None = None,
         wrench: npt.ArrayLike = (0.0, 0.0, -1.0, 0.0, 0.0, 0.0),
+        **tilts: npt.ArrayLike,
     ) -> Self:
         """Return the task of heights and tilts of a stage, of shape (n,).
 
         Parameters
         ----------
-        height, tilt, azimuth, roll, pitch, normal
-            As for `spm_pin.inverse_displacement`.
+        height, tilts
+            As for `spm_pin.inverse_displacement`: tilt and azimuth, roll and pitch, or normal.
         wrench
             As for the class.
         """
         heights = np.atleast_1d(real_array(height, "height", (), "of the platform's origin in metres"))
-        normals = np.atleast_2d(normals_of_request(tilt, azimuth, roll, pitch, normal))
+        normals = np.atleast_2d(normals_of_request(**tilts))
         shape = broadcastable("height", heights.shape, "the normals", normals.shape[:-1])
         if len(shape) != 1 or not shape[0]:
             raise ArgumentError("height", "one or more states, shape (n,)", f"shape {shape}")

@@ -37,7 +37,6 @@ _DIRECTIONS = 24
 """Number of directions of the largest tilt."""
 _ROLL, _TILT = "height, roll, pitch", "height, tilt, azimuth"
 """Conventions of the coordinates of the pose: names of properties of a state."""
-_NO_ANGLES = dict.fromkeys(("tilt", "azimuth", "roll", "pitch"))
 
 
 class StageState(ShownState):
@@ -142,7 +141,7 @@ class StageModel(Model):
     def pose_of(self, coordinates: FloatArray, convention: str) -> RigidTransform:
         """Return a pose with the normal and the height of such values."""
         angles = dict(zip(convention.split(", ")[1:], np.radians(coordinates[1:]), strict=True))
-        turn, _ = Rotation.align_vectors(normals_of_request(**(_NO_ANGLES | angles), normal=None), [0.0, 0.0, 1.0])
+        turn, _ = Rotation.align_vectors(normals_of_request(**angles), [0.0, 0.0, 1.0])
         return RigidTransform.from_components([0.0, 0.0, 1e-3 * coordinates[0]], turn)
 
     def pose_ranges(self, convention: str) -> FloatArray:
