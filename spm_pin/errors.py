@@ -115,6 +115,11 @@ def _brief(received: Any) -> str:
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}… ({len(text)} characters)"
 
 
+def sentence(text: str) -> str:
+    """Return a text, such as a `missing_reason`, that begins with a capital letter."""
+    return text[:1].upper() + text[1:]
+
+
 class GeometryError(ArgumentError):
     """Dimensions or limits that do not describe a machine."""
 

@@ -373,10 +373,7 @@ class _Fit:
 def _fit(
     whitened: _Function, jacobian: _Function, prior: FloatArray, first: FloatArray, loss: str, counts: IntArray
 ) -> _Fit:
-    """Fit residuals (N, n), of which `counts` (N,) of each row were measured, and `prior` times the unknowns.
-
-    Least squares are used if they explain the residuals, otherwise a robust loss that finds the outliers.
-    """
+    """Fit residuals (N, n), `counts` (N,) of a row, by least squares or by a robust loss that finds outliers."""
 
     def minimize(
         begin: FloatArray, loss: str = "linear", scale: float = 1.0, evaluations: int = _EVALUATIONS, rows: Any = ...

@@ -140,10 +140,7 @@ class Measurements:
         return np.asarray(machine.legs.circles(self.readings)[1] <= 0.0)
 
     def errors(self, machine: Machine, frames: Frames | None = None) -> FloatArray:
-        """Return the predicted less the measured components (N, n) [m, rad]; NaN where there is no state.
-
-        They are zero where nothing was measured.
-        """
+        """Return predicted less measured components (N, n) [m, rad]; NaN without a state, zero if not measured."""
         seen = (frames or self.frames).seen(self.states(machine))
         return np.where(self.present, self.observable.errors(seen, self.poses), 0.0)
 

@@ -125,10 +125,7 @@ class Inclinations:
 
 
 def poses_and_observable(shown: Inclinations) -> tuple[FloatArray, Observable]:
-    """Return poses (N, 4, 4) without yaw, and the components measured in at least one row.
-
-    The poses have the roll, pitch and height of `shown`.
-    """
+    """Return poses (N, 4, 4) of these rolls, pitches and heights, without yaw, and the components measured at all."""
     place = shown.height[:, None] * [0.0, 0.0, 1.0]
     matrices = homogeneous(_rotations(np.stack([shown.roll, shown.pitch], axis=-1)), place)
     has_height, has_tilt = (bool(np.isfinite(x).any()) for x in (shown.height, shown.roll))

@@ -96,7 +96,6 @@ def _compare(machine: Machine, poses: int, seed: int, methods: list[str] | None)
 
 
 def _exit_code(report: Report, failed: bool = False) -> int:
-    """Return the exit code of a comparison, which Ctrl-C may have ended early."""
     return 130 if report.poses < report.requested else int(failed or not report.agrees)
 
 
@@ -247,7 +246,7 @@ def reproduce(
         "diagnoses": [
             {"row": each.row, "mistakes": each.names, "values": each.values} for each in reproduction.diagnoses
         ],
-        "equation_17_real_roots": vars(reproduction.equation_17),
+        "equation_17_real_roots": reproduction.equation_17,
     }
     if out is not None:
         outputs.write_json(content, out)
@@ -274,7 +273,6 @@ def _summary(heading: str, reproduction: Reproduction) -> Sentence:
 
 
 def _tables_summary(reproduction: Reproduction) -> Table:
-    """Return the number of cells of each table that agree."""
     rows = {number: [cell.verdict for cell in reproduction.table(number)] for number in _TITLES}
     columns: dict[str, Any] = {"": lambda n: _TITLES[n].partition(" (")[0], "cells": lambda n: str(len(rows[n]))}
     columns |= {str(verdict): lambda n, verdict=verdict: str(rows[n].count(verdict)) for verdict in Verdict}
@@ -346,7 +344,7 @@ def _findings(reproduction: Reproduction) -> list[str]:
     if any(cell.table < 5 for cell in reproduction.cells):
         equation = reproduction.equation_17
         lines.append(
-            f"Eq. (17): with the signs as printed |U| = 0 has {equation.printed} real roots; with the product "
-            f"of Eq. (16) moved across correctly it has {equation.mended}, and the example has {equation.true}."
+            f"Eq. (17): with the signs as printed |U| = 0 has {equation['printed']} real roots; with the product "
+            f"of Eq. (16) moved across correctly it has {equation['mended']}, and the example has {equation['true']}."
         )
     return lines

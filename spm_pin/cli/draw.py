@@ -16,8 +16,8 @@ from spm_pin.cli import outputs, requests
 from spm_pin.cli.options import OF_MANIPULATOR, Branches, Readings
 from spm_pin.cli.requests import Request, request_of
 from spm_pin.cli.units import LengthUnit, MachineInUnits
-from spm_pin.display.plots import NARROWEST, save_gallery, save_picture, stage_figure
-from spm_pin.display.writing import FORMATS, save_figure
+from spm_pin.display.plots import NARROWEST, save_gallery, save_picture
+from spm_pin.display.writing import FORMATS
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.machine import Configuration, Status
 
@@ -28,18 +28,16 @@ def draw(
     pose: Request | None = None,
     legs: Readings = None,
     branch: Branches = None,
-    every: Annotated[bool, Option("--all", help="All real branches, side by side."), OF_MANIPULATOR] = False,
+    every: Annotated[bool, Option("--all", help="All real branches, side by side.")] = False,
     view: Annotated[
         tuple[float, float],
         Option(metavar="AZIMUTH ELEVATION", help="Direction of the view, in degrees."),
-        OF_MANIPULATOR,
     ] = (15.0, 25.0),
-    width: Annotated[int | None, Option(help="Width of the picture in pixels."), OF_MANIPULATOR] = None,
+    width: Annotated[int | None, Option(help="Width of the picture in pixels.")] = None,
     names: Annotated[
         bool | None,
         Option("--names/--no-names", help="Names of joints, legs and axes; default: for a single branch."),
     ] = None,
-    background: Annotated[str | None, Option(help="A colour, or none; default: white."), OF_MANIPULATOR] = None,
 ) -> None:
     """Draw the machine: the physical branch of a pose, named branches, or all of them.
 
@@ -55,20 +53,17 @@ def draw(
         expected = "azimuth and elevation in degrees, at most 360 and 90"
         raise ArgumentError("--view", expected, f"{view[0]:g} and {view[1]:g}")
     solutions, default = _requested(typed, pose, legs)
-    appearance: dict[str, Any] = {"view": (math.radians(view[0]), math.radians(view[1]))}
-    appearance["background"] = background or "white"
+    direction = math.radians(view[0]), math.radians(view[1])
     named = branch is not None
     labels = requests.selected_labels(solutions, branch, required=named) if every or named else []
     states = {"": solutions[labels[0]] if labels else default}
-    if typed.machine.is_stage:
-        save_figure(stage_figure(states[""], names=names is not False), out)
-    elif len(labels) > 1:
+    if len(labels) > 1:
         states = titled_branches(solutions, labels)
-        save_gallery(states, out, labels=bool(names), width=width or 1600, **appearance)
+        save_gallery(states, out, view=direction, labels=bool(names), width=width or 1600)
     else:
         width = width or 1000
         names = width >= NARROWEST[True] if names is None else names
-        save_picture(states[""], out, labels=names, width=width, **appearance)
+        save_picture(states[""], out, view=direction, labels=names, width=width)
     outputs.note(f"wrote {out}")
     beyond = []
     for title, state in states.items():
@@ -89,11 +84,7 @@ def titled_branches(solutions: Any, labels: list[str]) -> dict[str, Configuratio
 
 
 def _requested(typed: MachineInUnits, pose: Request | None, legs: Any) -> tuple[Any, Any]:
-    """Return the branches of the requested pose, and the one to use if none is named.
-
-    That is the physical one, or else the first; with `legs` the state of these; without options, a regular
-    configuration near the home.
-    """
+    """Return the branches of the requested pose, and the one to use if none is named: the physical or the first."""
     machine, kind = typed.machine, request_of(typed.machine)
     if pose is None and legs is None:
         state = kind.start(machine)

@@ -18,7 +18,7 @@ from spm_pin.machine import Machine
 Format = Literal["urdf", "mjcf", "sdf", "extended-urdf", "srdf", "c", "c-stage", "linuxcnc", "ros", "ros2"]
 _OWN_OPTIONS: dict[str, set[str]] = {
     "urdf": {"ros_constraints", "masses", "prefix"},
-    "mjcf": {"anchors", "collisions", "actuators", "ball", "masses", "prefix"},
+    "mjcf": {"collisions", "actuators", "ball", "masses", "prefix"},
     "sdf": {"loops", "masses", "prefix"},
     "extended-urdf": {"prefix"},
     "srdf": {"prefix"},
@@ -43,10 +43,6 @@ def export(
     ros_constraints: Annotated[
         bool, Option("--ros-constraints", help="urdf: add the <constraint> elements proposed for ROS.")
     ] = False,
-    anchors: Annotated[
-        Literal["bodies", "sites"] | None,
-        Option(help="mjcf: anchor closures in bodies, or in sites, which Drake ignores."),
-    ] = None,
     collisions: Annotated[
         Literal["exact", "simple", "none"] | None,
         Option(help="mjcf: shapes that collide; simple has no cylinders, which MJX does not support with boxes."),
@@ -80,15 +76,13 @@ def export(
         received = "none" if format_ is None else "two"
         raise ArgumentError("FORMAT", f"one of {', '.join(get_args(Format))}", received)
     chosen = str(format_ or option).replace("ros2", "ros")
-    special: dict[str, Any] = {"ros_constraints": ros_constraints, "anchors": anchors, "collisions": collisions}
+    special: dict[str, Any] = {"ros_constraints": ros_constraints, "collisions": collisions}
     special |= {"loops": loops, "actuators": actuators, "ball": description.Ball() if ball else None}
     own, machine = _OWN_OPTIONS[chosen], typed.machine
     for name, value in (special | {"masses": masses, "prefix": prefix}).items():
         if value and name not in own:
             raise outputs.cannot_be_used(f"--{name.replace('_', '-')}", f"--format {chosen}")
     is_stage = machine.is_stage
-    if ball and not is_stage:
-        raise ArgumentError("--ball", "a single stage, on which it rolls", "a manipulator")
     if chosen in ("c", "c-stage") and is_stage != (chosen == "c-stage"):
         kinds = ("a manipulator", "a stage: its file, or --base, --platform and so on")
         received = "a stage" if is_stage else "a manipulator" if typed.given else "none"

@@ -13,11 +13,11 @@ from typer import Option
 from spm_pin.cli import outputs
 from spm_pin.cli.options import OF_MANIPULATOR, Legs, LegsOption, Masses_, leg_numbers, read_masses
 from spm_pin.cli.outputs import Report, Table
-from spm_pin.cli.requests import Request, sentence
+from spm_pin.cli.requests import Request
 from spm_pin.cli.units import MachineInUnits
 from spm_pin.display.figures import certificate_figure, motion_figure
 from spm_pin.display.writing import fixed
-from spm_pin.errors import ArgumentError, GeometryError, UnreachableError
+from spm_pin.errors import ArgumentError, GeometryError, UnreachableError, sentence
 from spm_pin.proofs import Certificate, InverseCertificate, certify_inverse
 from spm_pin.proofs import certify as prove
 from spm_pin.support.arguments import IntArray
@@ -182,7 +182,7 @@ def move(
     if out is not None:
         motion.to_csv(out)
         outputs.note(f"wrote {out}")
-    outputs.write_figure(plot, motion_figure, motion, motion.readings, machine.limits, largest)
+    outputs.write_figure(plot, motion_figure, motion, machine.limits, largest)
     content = {"method": planned.method, "certified": planned.certified, "margin": planned.margin}
     return Report({**content, **motion.columns()}, _motion_parts(planned, motion, chain.leg_indices, typed))
 

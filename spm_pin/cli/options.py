@@ -113,26 +113,29 @@ def make_command(function: Callable[..., Report | None], *, of_stage: bool) -> C
 
     Errors name the options that were typed instead of the arguments of functions.
     """
-    groups: dict[str, tuple[Callable[..., Any], list[inspect.Parameter]]] = {}
+    groups: dict[str, _Group] = {}
     parameters: list[inspect.Parameter] = []
-    request: type[Request] | None = None
+    has_states = False
     for parameter in inspect.signature(function, eval_str=True).parameters.values():
-        kind, *extra = get_args(parameter.annotation) if _is_annotated(parameter.annotation) else [parameter.annotation]
+        annotation = parameter.annotation
+        kind, *extra = get_args(annotation) if hasattr(annotation, "__metadata__") else [annotation]
         if of_stage and OF_MANIPULATOR in extra:
             continue
-        kinds, own = {kind, *get_args(kind)}, [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)]
+        kinds, group = {kind, *get_args(kind)}, None
+        is_optional = type(None) in kinds
         if MachineInUnits in kinds:
-            own = _machine_parameters(of_stage, inspect.signature(function).parameters)
-            groups[parameter.name] = _read_machine, own
+            # The machine is read first, since the units of other options depend on it.
+            group = _machine_group(of_stage, inspect.signature(function).parameters)
+            groups = {parameter.name: group, **groups}
         elif Request in kinds:
-            prefix = extra[0] if extra else ""
-            request = TiltRequest if of_stage else Request
-            own = _request_parameters(request, prefix, is_optional=type(None) in kinds)
-            groups[parameter.name] = _request_reader(request, prefix, is_optional=type(None) in kinds), own
+            group = _request_group(TiltRequest if of_stage else Request, *extra, is_optional=is_optional)
         elif Legs in kinds:
-            own = [_legs_parameter(own[0], extra[0], 3 if of_stage else 6, is_optional=type(None) in kinds)]
-            groups[parameter.name] = _legs_reader(extra[0].names[0]), own
-        parameters += own
+            group = _legs_group(parameter.name, extra[0], of_stage, is_optional=is_optional)
+        if group is None:
+            parameters.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
+        else:
+            groups[parameter.name], has_states = group, has_states or MachineInUnits not in kinds
+            parameters += group.parameters
     shows = get_type_hints(function)["return"] is Report
     if shows:
         parameters.append(inspect.Parameter("json", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=AsJson))
@@ -142,13 +145,13 @@ def make_command(function: Callable[..., Report | None], *, of_stage: bool) -> C
         try:
             arguments = {name: value for name, value in values.items() if name != "json" or not shows}
             typed = None
-            # The machine is read first, since the units of other options depend on it.
-            for name, (read, own) in sorted(groups.items(), key=lambda item: item[1][0] is not _read_machine):
+            for name, (own, read) in groups.items():
                 given = {parameter.name: arguments.pop(parameter.name) for parameter in own}
-                arguments[name] = read(given, typed, of_stage) if typed is None else read(given, typed)
+                arguments[name] = read(given, typed)
                 typed = typed or arguments[name]
-                if request is not None:
-                    _check_kind(typed, request)
+                if has_states and typed.machine.is_stage and not of_stage:
+                    option = f"--machine {typed.file}" if typed.file else "--middle"
+                    raise ArgumentError(option, "a manipulator", "a stage", "For a stage: spm-pin stage")
             report = function(**arguments)
         except ArgumentError as error:
             raise _by_option(error, names, values) from error
@@ -161,12 +164,14 @@ def make_command(function: Callable[..., Report | None], *, of_stage: bool) -> C
     return run
 
 
-def _is_annotated(annotation: Any) -> bool:
-    return hasattr(annotation, "__metadata__")
+class _Group(NamedTuple):
+    """Options of a command, and the function of their values and of the machine that returns its argument."""
+
+    parameters: list[inspect.Parameter]
+    read: Callable[[Record, Any], Any]
 
 
 def _option(name: str, kind: Any, option: Any, *, is_required: bool = False, default: Any = None) -> inspect.Parameter:
-    """Return a parameter of a command, None if it is not given."""
     return inspect.Parameter(
         name.replace("-", "_"),
         inspect.Parameter.KEYWORD_ONLY,
@@ -175,7 +180,7 @@ def _option(name: str, kind: Any, option: Any, *, is_required: bool = False, def
     )
 
 
-def _machine_parameters(of_stage: bool, taken: Collection[str]) -> list[inspect.Parameter]:
+def _machine_group(of_stage: bool, taken: Collection[str]) -> _Group:
     """Return the options of a machine and of the unit; a file alone if names of dimensions are taken."""
     left_out = {"middle"} if of_stage else set()
     if _MACHINE.keys() & taken:
@@ -191,57 +196,41 @@ def _machine_parameters(of_stage: bool, taken: Collection[str]) -> list[inspect.
         option = typer.Option(*options, metavar=metavar, help=text, rich_help_panel="Machine")
         parameters.append(_option(name, kind, option))
     unit = typer.Option(help="Unit of lengths, typed and printed, if no other is named.", rich_help_panel="Machine")
-    return [*parameters, _option("unit", LengthUnit, unit, default=LengthUnit.M)]
+    parameters.append(_option("unit", LengthUnit, unit, default=LengthUnit.M))
+    return _Group(parameters, lambda given, _: _read_machine(given, of_stage))
 
 
-def _request_parameters(request: type[Request], prefix: str, *, is_optional: bool) -> list[inspect.Parameter]:
+def _request_group(request: type[Request], prefix: str = "", *, is_optional: bool) -> _Group:
     """Return the options of a pose, or of a height and a tilt."""
     parameters = []
     for name, (kind, metavar, text) in request.options.items():
         option = typer.Option(f"--{prefix}{name}", metavar=metavar, help=text, rich_help_panel="Pose")
         is_required = name == request.needed and not is_optional
         parameters.append(_option(f"{prefix}{name}", kind, option, is_required=is_required))
-    return parameters
 
-
-def _request_reader(request: type[Request], prefix: str, *, is_optional: bool) -> Callable[..., Request | None]:
     def read(given: Record, typed: MachineInUnits) -> Request | None:
         if is_optional and all(value is None for value in given.values()):
             return None
         values = {name.removeprefix(prefix.replace("-", "_")): value for name, value in given.items()}
         return request.read(values, typed, prefix)
 
-    return read
+    return _Group(parameters, read)
 
 
-def _check_kind(typed: MachineInUnits, request: type[Request]) -> None:
-    """Raise an error if a machine has requests of another kind."""
-    if (request is TiltRequest) != typed.machine.is_stage:
-        option = f"--machine {typed.file}" if typed.file else "--middle"
-        raise ArgumentError(option, "a manipulator", "a stage", "For a stage: spm-pin stage")
-
-
-def _legs_parameter(
-    parameter: inspect.Parameter, option: LegsOption, count: int, *, is_optional: bool
-) -> inspect.Parameter:
-    """Return an option of six readings, or of three."""
-    metavar = "R1 R2 R3" if count == 3 else "B1 B2 B3 C1 C2 C3"
+def _legs_group(name: str, option: LegsOption, of_stage: bool, *, is_optional: bool) -> _Group:
+    """Return the option of six readings, or of three."""
+    count, metavar = (3, "R1 R2 R3") if of_stage else (6, "B1 B2 B3 C1 C2 C3")
     own = typer.Option(*option.names, metavar=metavar, help=f"{option.what} in --unit, for cranks in degrees.")
-    return _option(parameter.name, tuple[(float,) * count], own, is_required=not is_optional)  # type: ignore[misc]
+    parameter = _option(name, tuple[(float,) * count], own, is_required=not is_optional)  # type: ignore[misc]
 
-
-def _legs_reader(option: str) -> Callable[..., FloatArray | None]:
     def read(given: Record, typed: MachineInUnits) -> FloatArray | None:
         (numbers,) = given.values()
-        if numbers is None:
-            return None
-        _check_kind(typed, TiltRequest if len(numbers) == 3 else Request)
-        return typed.read(option, numbers)
+        return None if numbers is None else typed.read(option.names[0], numbers)
 
-    return read
+    return _Group([parameter], read)
 
 
-def _read_machine(given: Record, _: None, of_stage: bool) -> MachineInUnits:
+def _read_machine(given: Record, of_stage: bool) -> MachineInUnits:
     """Return the machine of a file, or of numbers; without either the paper's, and for `spm-pin stage` an error."""
     unit, file, limits = given["unit"], given["machine"], given["limits"]
     named = {name for name in _MACHINE.keys() & given.keys() if given[name] is not None}

@@ -15,7 +15,7 @@ import numpy as np
 
 from spm_pin.cli.units import MachineInUnits
 from spm_pin.display.writing import fixed
-from spm_pin.errors import ArgumentError, PoseError
+from spm_pin.errors import ArgumentError, PoseError, sentence
 from spm_pin.kinematics.forward_displacement import forward_physical, starting_configuration
 from spm_pin.kinematics.inverse_displacement import inverse_displacement, inverse_physical
 from spm_pin.machine import FAMILIES, LegLimits, SolutionSet, Status, pose
@@ -284,16 +284,11 @@ def request_of(machine: Any) -> type[Request]:
     return TiltRequest if machine.is_stage else Request
 
 
-def sentence(text: str) -> str:
-    """Return a text that begins with a capital letter."""
-    return text[:1].upper() + text[1:]
-
-
 def family_remarks(solutions: Any) -> list[str]:
     """Return sentences on a level pose that is held nowhere, or on a continuous family of solutions."""
     if solutions.status is Status.UNREACHABLE and abs(solutions.rotation[..., 2, 2]).max() == 1.0:
         return ["A level platform is held only with its centre o on the Z axis of the base, and then in many ways."]
-    degeneracy = getattr(solutions, "degeneracy", None)
+    degeneracy = solutions.degeneracy
     if solutions.status is not Status.DEGENERATE or degeneracy is None:
         return []
     families = ", ".join(f for f, hit in zip(FAMILIES, degeneracy.families, strict=True) if hit)
@@ -404,6 +399,6 @@ def status_line(solutions: Any, what: str, typed: MachineInUnits) -> str:
 
 def solutions_content(solutions: Any, typed: MachineInUnits) -> Record:
     """Return the JSON content common to all solutions: their units, the status, and any continuous family."""
-    degeneracy = getattr(solutions, "degeneracy", None)
+    degeneracy = solutions.degeneracy
     family = degeneracy and {name: getattr(degeneracy, name) for name in ("dimension", "families", "legs")}
     return {**typed.content(), "status": str(solutions.status), "degeneracy": family}

@@ -15,16 +15,16 @@ import typer
 from spm_pin.cli import outputs, requests
 from spm_pin.cli.options import LEGS_NAMES, OF_MANIPULATOR, Branches, Legs, LegsOption, Readings
 from spm_pin.cli.outputs import Report, Table
-from spm_pin.cli.requests import Record, Request, Triple, request_of, sentence
+from spm_pin.cli.requests import Record, Request, Triple, request_of
 from spm_pin.cli.units import MachineInUnits
 from spm_pin.display.writing import fixed
-from spm_pin.errors import ArgumentError, SingularConfigurationError
+from spm_pin.errors import ArgumentError, SingularConfigurationError, sentence
 from spm_pin.kinematics.forward_displacement import forward_displacement, forward_physical
 from spm_pin.kinematics.rates_and_forces import leg_forces, leg_rates
 from spm_pin.kinematics.singularity_analysis import determinants
 from spm_pin.kinematics.singularity_analysis import singularities as analyse
 from spm_pin.kinematics.singularity_kinds import SingularityKind
-from spm_pin.machine import Configuration, Status
+from spm_pin.machine import Status
 
 _ZERO = (0.0, 0.0, 0.0)
 _ORIENTATIONS = {
@@ -52,7 +52,7 @@ def inverse(pose: Request, typed: MachineInUnits) -> Report:
     code = requests.exit_code(solutions.status, physical)
     reached = pose.nearest() if code in (3, 5) else None
     content = requests.solutions_content(solutions, typed)
-    if hasattr(solutions, "discriminants"):
+    if not typed.machine.is_stage:
         content["discriminants"] = solutions.discriminants
     content |= {"branches": records, "nearest": _nearest_record(reached, typed)}
     columns: dict[str, Any] = {pose.solution: itemgetter("label"), **typed.columns()}
@@ -75,7 +75,6 @@ def _record(state: Any, typed: MachineInUnits) -> Record:
 
 
 def _parasitic(typed: MachineInUnits) -> Record:
-    """Return the columns of a stage's parasitic motion."""
     shifts = {
         f"shift {axis} [{typed.unit}]": lambda row, k=k: typed.unit.text(row["shift"][k]) for k, axis in enumerate("xy")
     }
@@ -217,14 +216,14 @@ def singularities(
 def _singularity(state: Any) -> Record:
     analysis: Any = analyse(state)
     record: Record = {"kind": str(SingularityKind(int(analysis.kind))), "gained_twist": analysis.gained_twist}
-    if isinstance(state, Configuration):
-        sizes = {"scaled_determinants": analysis.scaled_determinants, "distance": analysis.sigma}
-        sizes["condition"] = analysis.condition
-        record |= {name: dict(zip(("J_b", "J_c", "K"), x.tolist(), strict=True)) for name, x in sizes.items()}
-        return record | {name: getattr(analysis, name) for name in ("mobility", "lost_wrench")}
-    sizes = {"scaled_determinants": determinants(state), "distance": analysis.sigma}
-    record |= {name: dict(zip(("forward", "inverse"), x.tolist(), strict=True)) for name, x in sizes.items()}
-    return record | {"slope": {"leg": float(analysis.leg.min())}}
+    is_stage = state.machine.is_stage
+    sizes = {"scaled_determinants": determinants(state) if is_stage else analysis.scaled_determinants}
+    sizes |= {"distance": analysis.sigma} | ({} if is_stage else {"condition": analysis.condition})
+    matrices = ("forward", "inverse") if is_stage else ("J_b", "J_c", "K")
+    record |= {name: dict(zip(matrices, x.tolist(), strict=True)) for name, x in sizes.items()}
+    if is_stage:
+        return record | {"slope": {"leg": float(analysis.leg.min())}}
+    return record | {name: getattr(analysis, name) for name in ("mobility", "lost_wrench")}
 
 
 def _kind_and_mark(record: Record) -> str:

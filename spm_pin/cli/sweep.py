@@ -132,10 +132,7 @@ def sweep(
 def _domain(
     poses: dict[str, Any], legs: list[str] | None, drawn: dict[str, Any], metres: FloatArray, scale: float
 ) -> Domain | None:
-    """Return the domain that the options describe, `poses` or `legs`; None if they are not given.
-
-    Typed readings are multiplied by `metres` (legs,), positions by `scale`.
-    """
+    """Return the domain of `poses` or `legs`, if any; readings are multiplied by `metres`, positions by `scale`."""
     missing = [option for option, value in poses.items() if value is None]
     if legs and len(missing) < len(poses):
         raise ArgumentError("--legs", "poses or leg lengths, not both", "both")
@@ -343,13 +340,8 @@ def _front_parts(front: Front) -> list[Table | str]:
 
     columns: dict[str, Callable[[int | None], str]] = {"row": title}
     columns |= {f"{name} [{problem.unit(name)}]": partial(size, k) for k, name in enumerate(problem.free)}
-    metrics = {f"{name}_{which}": metric.unit for name, metric in sweeps.METRICS.items() for which in ("mean", "low")}
-    kinds = problem.machine.legs.kinds
-    volume = "m sr" if problem.machine.is_stage else "m³ rad³"
-    units = metrics | {"volume": volume, "footprint": "m²", "task_margin": "m"}
-    units["task_effort"] = " or ".join(dict.fromkeys("N m" if kind.unit == "rad" else "N" for kind in kinds))
     for name in problem.columns:
-        unit = units.get(name, "1")
+        unit = problem.column_unit(name)
         columns[name if unit == "1" else f"{name} [{unit}]"] = partial(value, name)
     better = int(front.better.sum())
     text = f"{len(front.evaluated)} machines evaluated, {len(designs)} on the front, {better} of them at least as good"

@@ -22,10 +22,7 @@ def freedoms(machine: Machine) -> slice:
 
 
 def states_with_balls(machine: Any, poses: FloatArray, balls: FloatArray) -> Any:
-    """Return the states (...) for requests (..., 4, 4) with the lower legs' balls (..., 3, 3); NaN for a missing one.
-
-    The platform of a stage is where its balls are.
-    """
+    """Return the states (...) for requests (..., 4, 4) with lower balls (..., 3, 3), where a stage's platform is."""
     poses = np.broadcast_to(poses, (*balls.shape[:-2], 4, 4))
     if not machine.is_stage:
         return Configuration.from_arrays(machine, poses[..., :3, :3], poses[..., :3, 3], balls)

@@ -412,10 +412,7 @@ class _Comparison:
     def _compare_states(
         self, states: Any, place: IntArray, joints: dict[str, FloatArray], rng: np.random.Generator
     ) -> None:
-        """Compare the ball joints (m, 9), Jacobians, leg forces and assembled states at proved branches (m,).
-
-        `place` (m,) is the number of the pose in the batch times that of labels, plus the number of the branch.
-        """
+        """Compare all answers at proved branches (m,), whose `place` is pose times number of labels plus label."""
         count, machine = len(place), self._machine
         per_angle = np.repeat([1.0, machine.ball_side], 3)
         # Rates and forces of the actuators in units of those of rods.

@@ -69,10 +69,7 @@ class SubWorkspace:
         return first, second
 
     def increments(self, resolution: int) -> IntArray:
-        """Return the increments of the six legs above their minima, (resolution + 1, resolution + 1, 6).
-
-        The first varying leg changes along the first axis, the other along the second.
-        """
+        """Return the increments above the minima (n + 1, n + 1, 6), in the order of the legs that vary."""
         fixed = {LegSetting.MINIMUM: 0, LegSetting.MAXIMUM: resolution, LegSetting.VARIES: 0}
         steps = np.empty((resolution + 1, resolution + 1, 6), dtype=np.intp)
         steps[:] = [fixed[setting] for setting in self.settings]
@@ -265,10 +262,7 @@ def _assembled(machine: Manipulator, lengths: FloatArray) -> Configuration:
 
 
 def _lofted(grid: IntArray, sign: int) -> IntArray:
-    """Return triangles (2n², 3) between the curves c_j and c_j+1: step 4's loft.
-
-    Squares are divided from both legs short to both long, which no exchange of legs changes.
-    """
+    """Return triangles (2n², 3) between the curves c_j and c_j+1: step 4's loft, the same if legs are exchanged."""
     near, far, across, along = grid[:-1, :-1], grid[1:, 1:], grid[1:, :-1], grid[:-1, 1:]
     triangles = np.stack([near, across, far, near, far, along], axis=-1).reshape(-1, 3)
     return triangles[:, ::sign]

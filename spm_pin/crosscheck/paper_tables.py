@@ -121,18 +121,6 @@ class SolvedTwice:
 
 
 @dataclass(frozen=True)
-class MisprintedEquation:
-    """Numbers of real roots of |U| = 0."""
-
-    printed: int
-    """With Eq. (17) as printed."""
-    mended: int
-    """With its signs mended."""
-    true: int
-    """By the closed form."""
-
-
-@dataclass(frozen=True)
 class Reproduction:
     """All recomputed cells, and the eight solutions by two methods."""
 
@@ -140,8 +128,9 @@ class Reproduction:
     """Cells of the tables that were asked for, in the order of print."""
     solutions: tuple[SolvedTwice, ...]
     """The eight solutions by the paper's route and by the closed form."""
-    equation_17: MisprintedEquation
-    """Numbers of real roots with Eq. (17) as printed, with its signs mended, and by the closed form."""
+    equation_17: dict[str, int]
+    """Numbers of real roots: "printed", with Eq. (17) as printed; "mended", with its signs mended; "true", those of
+    the closed form."""
     diagnoses: tuple[Diagnosis, ...] = ()
     """The mistakes behind the rows of Table 5; empty without that table."""
     true_values: tuple[TrueValue, ...] = ()
@@ -185,11 +174,8 @@ def reproduce(tables: Sequence[int] = TABLES) -> Reproduction:
         for n in range(8)
     )
     roots = resultant.Resultant.from_pose(machine, example)
-    equation = MisprintedEquation(
-        printed=_count_real(roots.roots(as_printed=True)),
-        mended=_count_real(roots.roots()),
-        true=_count_real(closed[:, 1, 1]),
-    )
+    found = {"printed": roots.roots(as_printed=True), "mended": roots.roots(), "true": closed[:, 1, 1]}
+    equation = {name: _count_real(each) for name, each in found.items()}
     cells: list[Cell] = []
     diagnoses: list[Diagnosis] = []
     true_values: list[TrueValue] = []

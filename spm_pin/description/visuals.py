@@ -135,8 +135,8 @@ def _body_poses(configuration: Configuration | StageConfiguration) -> dict[str, 
     machine = configuration.machine
     base = np.broadcast_to(np.eye(4), (*configuration.shape, 4, 4))
     moved = homogeneous(configuration.rotation, configuration.translation)
-    middle = [configuration.middle_pose.as_matrix()] if isinstance(configuration, Configuration) else []
-    poses = dict(zip(platforms(machine), [base, *middle, moved], strict=True))
+    # The middle platform of a stage is its platform.
+    poses = dict(zip(platforms(machine), (base, configuration.middle_pose.as_matrix(), moved), strict=False))
     pivots, knees, balls = configuration.leg_bases, configuration.circle_centres, configuration.balls
     rods = balls - knees
     first = rods.copy()

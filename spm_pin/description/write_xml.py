@@ -74,7 +74,6 @@ def mjcf_text(
     *,
     prefix: str = "",
     states: Mapping[str, Configuration | StageConfiguration] | None = None,
-    anchors: str | None = None,
     actuators: str | None = None,
     ball: Ball | None = None,
     collisions: str | None = None,
@@ -90,9 +89,6 @@ def mjcf_text(
     states : mapping of str to Configuration or StageConfiguration, optional
         Named states of this machine, which become keyframes after `home`: all joints at zero, or, if the loops of a
         calibrated machine are open there, the actuated joints, and the others where the loops close.
-    anchors : str, optional
-        Anchors of a closure. "bodies", the default: two bodies and a point in the first, which MuJoCo, Drake and
-        Pinocchio support. "sites": two sites, which MuJoCo and Pinocchio support, and Drake ignores.
     actuators : str, optional
         "motors", whose `ctrl` is the effort, the default for a manipulator; or "servos", whose `ctrl` is the reading
         to reach, within its limits, the default for a stage.
@@ -117,7 +113,6 @@ def mjcf_text(
     stage = None if ball is None else _stage_under(ball, machine)
     shapes = choice("exact" if collisions is None else collisions, "collisions", ("exact", "simple", "none"))
     robot = read_robot(machine, prefix=prefix, meshes=meshes, masses=masses)
-    by_sites = choice("bodies" if anchors is None else anchors, "anchors", ("bodies", "sites")) == "sites"
     home = robot.closed_home()
     values_by_state[HOME] = home
     # Each scale of a file becomes a mesh of its own.
@@ -159,7 +154,7 @@ def mjcf_text(
         ),
         element("asset", *assets),
         element("worldbody", body, *balls),
-        element("equality", *(_connection(robot, closure, by_sites) for closure in robot.closures)),
+        element("equality", *(_connection(robot, closure) for closure in robot.closures)),
         element("actuator", *driven),
         element("custom", element("numeric", name="velocity_limit", data=velocities)),
         element("keyframe", *keys),
@@ -175,10 +170,7 @@ def _motors(robot: Robot) -> Iterable[Element]:
 
 
 def _servos(robot: Robot, machine: Machine, zeros: FloatArray) -> Iterable[Any]:
-    """Yield servos, critically damped: three hold all moving masses with the frequency `SERVO`.
-
-    The command of each is a reading, not the value of its joint.
-    """
+    """Yield servos whose commands are readings, critically damped; three hold all moving masses with `SERVO`."""
     said = "ctrl is the reading of each leg, in metres, for cranks in radians: the value of its joint plus "
     assumed = "Their largest forces are assumed, and all masses that were not given, by the machine's size."
     yield ElementTree.Comment(f" {said}{written(zeros)}. {assumed} ")
@@ -194,12 +186,7 @@ def _servos(robot: Robot, machine: Machine, zeros: FloatArray) -> Iterable[Any]:
 def _stage_under(ball: Ball, machine: Machine) -> Stage:
     check_instance(ball, Ball, "ball")
     if not isinstance(machine, Stage):
-        raise DescriptionError(
-            "ball",
-            "None for a manipulator of two stages",
-            "a ball",
-            "A ball rolls on the platform of a single stage only",
-        )
+        raise DescriptionError("ball", "a single stage, on which it rolls", "a manipulator")
     return machine
 
 
@@ -247,10 +234,7 @@ def _body(
     meshes: Mapping[tuple[str, Numbers], str],
     collisions: str,
 ) -> Element:
-    """Return the body of a link, with those of its child links inside, placed as in the home.
-
-    From these poses an engine computes the anchor of a closure in the second body.
-    """
+    """Return the body of a link, those of its child links inside, in the home, from which engines take anchors."""
     link, joint, parts = robot.links[name], robot.joint_to.get(name), []
     place = {} if joint is None else _place(joint.placement)
     if joint is not None and joint.moves:
@@ -295,10 +279,8 @@ def _without_cylinder(radius: float, length: float) -> dict[str, Value]:
     return {"type": "box", "size": (radius / np.sqrt(2.0), radius / np.sqrt(2.0), 0.5 * length)}
 
 
-def _connection(robot: Robot, closure: Closure, by_sites: bool) -> Element:
-    if by_sites:
-        sites = {"site1": f"{closure.frame_a}_site", "site2": f"{closure.frame_b}_site"}
-        return element("connect", name=closure.name, **sites)
+def _connection(robot: Robot, closure: Closure) -> Element:
+    # Two bodies and a point in the first: Drake ignores closures between sites.
     (body_a, pose), (body_b, _) = (robot.carrier(end) for end in (closure.frame_a, closure.frame_b))
     return element("connect", name=closure.name, body1=body_a, body2=body_b, anchor=pose[:3, 3])
 

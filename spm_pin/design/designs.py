@@ -240,9 +240,9 @@ def _evaluate(shares: FloatArray, metrics: tuple[Metric, ...], machine: Manipula
 
 def _densities(points: Points) -> FloatArray:
     """Return the volume of poses (of heights and normals for a stage [m sr]) per volume of readings, (M,)."""
-    machine = points.machine
-    if isinstance(points.reached, StageConfiguration):
-        return tilt_densities(points.reached, np.nan_to_num(points.platform_jacobians))
+    machine, reached = points.machine, points.reached
+    if isinstance(reached, StageConfiguration):
+        return tilt_densities(reached, np.nan_to_num(points.platform_jacobians))
     # The determinant of G from the singular values that the conditioning needs as well: of the twist (v, L ω) by rates
     # of knees.
     sizes = np.nan_to_num(points.singular_values().prod(axis=-1)) / machine.platform_radius**3
@@ -251,7 +251,7 @@ def _densities(points: Points) -> FloatArray:
 
 def variables_of(machine: Machine) -> tuple[str, ...]:
     """Return the `VARIABLES` that a machine has."""
-    return VARIABLES if isinstance(machine, Manipulator) else (*_DIMENSIONS[:2], *_OF_LEGS)
+    return (*_DIMENSIONS[:2], *_OF_LEGS) if machine.is_stage else VARIABLES
 
 
 def _stages_and_name(machine: Machine, variable: str) -> tuple[range, str]:
@@ -331,7 +331,6 @@ class DesignProblem:
         return tuple(own.get(name, name) for name in dict.fromkeys(names)) or ("conditioning",)
 
     def _column(self, name: str, argument: str) -> str:
-        """Check the name of a column."""
         known = {metric.name: metric for metric in (*METRICS.values(), *self.metrics)}
         if name in known:
             raise ArgumentError(argument, f"'{name}_mean' or '{name}_low'", repr(name))
@@ -373,7 +372,7 @@ class DesignProblem:
                 for stage in stages:
                     kinds[stage] = dataclasses.replace(kinds[stage], **{of_legs: value})
         limits: Any = type(machine.limits)(low.tolist(), (low + stroke).tolist())  # type: ignore[misc]
-        legs: Any = tuple(kinds) if isinstance(machine, Manipulator) else kinds[0]
+        legs: Any = kinds[0] if machine.is_stage else tuple(kinds)
         return type(machine)(**dimensions, limits=limits, legs=legs)
 
     def values(self, machine: Machine) -> FloatArray:
@@ -393,6 +392,14 @@ class DesignProblem:
         stages, of_legs = _stages_and_name(self.machine, name)
         of_readings = of_legs in ("minimum", "stroke")
         return self.machine.legs.kinds[stages.start].unit if of_readings else "rad" if of_legs == "direction" else "m"
+
+    def column_unit(self, name: str) -> str:
+        """Return the unit of a column, "1" if it has none."""
+        metrics = {metric.name: metric.unit for metric in (*METRICS.values(), *self.metrics)}
+        efforts = " or ".join(dict.fromkeys(kind.effort_unit for kind in self.machine.legs.kinds))
+        volume = "m sr" if self.machine.is_stage else "m³ rad³"
+        units = {"volume": volume, "footprint": "m²", "task_margin": "m", "task_effort": efforts}
+        return units.get(name) or metrics.get(name.rpartition("_")[0], "1")
 
     def objectives(self, designs: Designs) -> tuple[FloatArray, FloatArray]:
         """Return objectives to minimize (N, m) and constraints g <= 0 (N, c); the last is 1 if a number is missing."""

@@ -43,6 +43,15 @@ class Task:
     _load: FloatArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        requests = self.poses if isinstance(self.poses, Tilts) else self._read_poses()
+        count = len(requests[0])
+        load = real_array(self.wrench, "wrench", (6,), "(f, m) at o in {B} in N and N m")
+        if load.shape[:-1] not in ((), (count,)):
+            raise ArgumentError("wrench", f"shape (6,), or ({count}, 6)", f"shape {load.shape}")
+        object.__setattr__(self, "_requests", requests)
+        object.__setattr__(self, "_load", load)
+
+    def _read_poses(self) -> Poses:
         from spm_pin.multibody.trajectory import PlatformPath
 
         count = whole_number(self.samples, "samples", "at least two samples", least=2, most=10**6)
@@ -53,48 +62,31 @@ class Task:
         if len(transform.shape) != 1 or not transform.shape[0]:
             raise ArgumentError("poses", "one or more poses, shape (n,)", f"shape {transform.shape}")
         matrices = transform.as_matrix()
-        self._set(Poses(matrices[:, :3, :3], matrices[:, :3, 3]))
-
-    def _set(self, requests: Poses | Tilts) -> None:
-        count = len(requests[0])
-        load = real_array(self.wrench, "wrench", (6,), "(f, m) at o in {B} in N and N m")
-        if load.shape[:-1] not in ((), (count,)):
-            raise ArgumentError("wrench", f"shape (6,), or ({count}, 6)", f"shape {load.shape}")
-        object.__setattr__(self, "_requests", requests)
-        object.__setattr__(self, "_load", load)
+        return Poses(matrices[:, :3, :3], matrices[:, :3, 3])
 
     @classmethod
     def of_tilts(
         cls,
         height: npt.ArrayLike,
         *,
-        tilt: npt.ArrayLike | None = None,
-        azimuth: npt.ArrayLike | None = None,
-        roll: npt.ArrayLike | None = None,
-        pitch: npt.ArrayLike | None = None,
-        normal: npt.ArrayLike | None = None,
         wrench: npt.ArrayLike = (0.0, 0.0, -1.0, 0.0, 0.0, 0.0),
+        **tilts: npt.ArrayLike,
     ) -> Self:
         """Return the task of heights and tilts of a stage, of shape (n,).
 
         Parameters
         ----------
-        height, tilt, azimuth, roll, pitch, normal
-            As for `spm_pin.inverse_displacement`.
+        height, tilts
+            As for `spm_pin.inverse_displacement`: tilt and azimuth, roll and pitch, or normal.
         wrench
             As for the class.
         """
         heights = np.atleast_1d(real_array(height, "height", (), "of the platform's origin in metres"))
-        normals = np.atleast_2d(normals_of_request(tilt, azimuth, roll, pitch, normal))
+        normals = np.atleast_2d(normals_of_request(**tilts))
         shape = broadcastable("height", heights.shape, "the normals", normals.shape[:-1])
         if len(shape) != 1 or not shape[0]:
             raise ArgumentError("height", "one or more states, shape (n,)", f"shape {shape}")
-        self = cls.__new__(cls)
-        requests = Tilts(np.broadcast_to(normals, (*shape, 3)), np.broadcast_to(heights, shape))
-        for name, value in {"poses": requests, "wrench": wrench, "samples": shape[0]}.items():
-            object.__setattr__(self, name, value)
-        self._set(requests)
-        return self
+        return cls(Tilts(np.broadcast_to(normals, (*shape, 3)), np.broadcast_to(heights, shape)), wrench)
 
     @property
     def identity(self) -> str:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from spm_pin.display.writing import legend_below, new_figure, write_name
-from spm_pin.machine import LegLimits, StageConfiguration
+from spm_pin.machine import LegLimits
 from spm_pin.support.arguments import FloatArray, check_instance
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from spm_pin.calibration import Calibration
     from spm_pin.crosscheck import Report
-    from spm_pin.design import Front
+    from spm_pin.design import DesignProblem, Front
     from spm_pin.kinematics import FollowedPath
     from spm_pin.multibody.trajectory import JointTrajectory
     from spm_pin.proofs import Certificate
@@ -93,14 +93,10 @@ def path_figure(path: FollowedPath[Any]) -> Figure:
         colour, style = (_BLUE if leg < 3 else _ORANGE), ("-", "--", ":")[leg % 3]
         top.plot(path.parameters, column, color=colour, ls=style, label=f"$r_{{{name[2:]}}}$")
     top.set(ylabel=f"leg reading [{', '.join(dict.fromkeys(legs.units))}]")
-    if isinstance(states, StageConfiguration):
-        of_stage = singularities(states)
-        matrices = {"forward": (of_stage.forward, _GREEN, "-"), "inverse": (of_stage.inverse, "black", "-")}
-    else:
-        looks = {"$J_b$": (_GREEN, "-"), "$J_c$": (_SKY, "-."), "$K$": ("black", "-")}
-        columns = zip(singularities(states).sigma.T, looks.items(), strict=True)
-        matrices = {name: (column, *look) for column, (name, look) in columns}
-    for name, (column, colour, style) in matrices.items():
+    forward, inverse = [("$J_b$", _GREEN, "-"), ("$J_c$", _SKY, "-.")], ("$K$", "black", "-")
+    if states.machine.is_stage:
+        forward, inverse = [("forward", _GREEN, "-")], ("inverse", "black", "-")
+    for column, (name, colour, style) in zip(singularities(states).sigma.T, (*forward, inverse), strict=True):
         bottom.semilogy(path.parameters, column, color=colour, ls=style, label=name)
     bottom.set(xlabel="parameter", ylabel="smallest singular value")
     kinds = {EventKind.LIMIT: (":", _VERMILION), EventKind.INVERSE_SINGULARITY: ("-", _PURPLE)}
@@ -195,19 +191,14 @@ def _draw_boxes(ax: Axes, boxes: FloatArray, colour: str, label: str) -> None:
 
 
 def motion_figure(
-    motion: JointTrajectory,
-    readings: FloatArray | None = None,
-    limits: LegLimits | None = None,
-    largest: dict[str, Any] | None = None,
+    motion: JointTrajectory, limits: LegLimits | None = None, largest: dict[str, Any] | None = None
 ) -> Figure:
     """Draw the legs of a motion over time.
 
     Parameters
     ----------
     motion : JointTrajectory
-        Times, rates, accelerations and forces.
-    readings : ndarray, shape (n, legs), optional
-        At its times [m], of `ClosedChain.readings`; without them the actuated joints are drawn, which are zero at home.
+        Times, readings, rates, accelerations and forces.
     limits : LegLimits, optional
         Limits drawn as lines.
     largest : dict, optional
@@ -223,9 +214,7 @@ def motion_figure(
     ends = np.empty(0) if limits is None else np.concatenate([limits.minimum, limits.maximum])
     bounds = {key: np.multiply.outer([-1.0, 1.0], bound) for key, bound in (largest or {}).items()}
     rows = (
-        (f"joint [{unit}]", motion.positions[:, columns], [])
-        if readings is None
-        else (f"reading [{unit}]", readings, ends),
+        (f"reading [{unit}]", motion.readings, ends),
         (f"rate [{rate}]", motion.velocities[:, columns], bounds.get("leg_rates", [])),
         (f"acceleration [{acceleration}]", motion.accelerations[:, columns], bounds.get("leg_accelerations", [])),
         (f"force [{effort}]", motion.efforts[:, columns], bounds.get("leg_forces", [])),
@@ -264,7 +253,7 @@ def front_figure(front: Front) -> Figure:
     colour: Any = chosen[names[2]] if len(names) > 2 else _BLUE
     points = ax.scatter(chosen[x], chosen[y], s=30, c=colour, label="front", zorder=3)
     if len(names) > 2:
-        figure.colorbar(points, ax=ax, label=_aim(names[2], problem.aims[names[2]]))
+        figure.colorbar(points, ax=ax, label=_aim(problem, names[2]))
     label = "machine at the start"
     ax.scatter(start[x], start[y], s=110, marker="*", color=_VERMILION, edgecolor="white", label=label, zorder=4)
     # Machines without states are far from all others.
@@ -272,20 +261,15 @@ def front_figure(front: Front) -> Figure:
         shown = np.concatenate([chosen[name], start[name]])
         room = 0.15 * max(float(np.ptp(shown)), 1e-9 + 0.1 * float(np.abs(shown).max()))
         set_limits(float(shown.min()) - room, float(shown.max()) + room)
-    ax.set(xlabel=_aim(x, problem.aims[x]), ylabel=_aim(y, problem.aims.get(y)))
+    ax.set(xlabel=_aim(problem, x), ylabel=_aim(problem, y))
     ax.ticklabel_format(scilimits=(-3, 4), useMathText=True)
     legend_below(figure, fontsize=8)
     ax.spines[["top", "right"]].set_visible(False)
     return figure
 
 
-def _aim(name: str, sense: str | None) -> str:
-    from spm_pin.sweeps import METRICS
-
-    metric = METRICS.get(name.rpartition("_")[0])
-    unit = {"volume": "m³ rad³", "footprint": "m²"}.get(name, metric.unit if metric else "")
-    if metric in (METRICS["payload"], METRICS["payload_down"]):
-        unit = "of a leg's force"  # the metric's own limit is 1 N
-    better = {"max": ", max", "min": ", min"}.get(sense or "", "")
-    unit = unit.replace(" ", "\u00a0")  # lines are not broken there
-    return f"{name}{f' [{unit}]' if unit and unit != '1' else ''}{better}"
+def _aim(problem: DesignProblem, name: str) -> str:
+    # The limit of a payload is 1 N. Lines are not broken within a unit.
+    unit = "of a leg's force" if name.rpartition("_")[0] in ("payload", "payload_down") else problem.column_unit(name)
+    sense, unit = problem.aims.get(name), unit.replace(" ", "\u00a0")
+    return name + f" [{unit}]" * (unit != "1") + f", {sense}" * bool(sense)

@@ -23,7 +23,6 @@ from spm_pin.display.rendering import (
     Solid,
     bounds,
     camera_axes,
-    placed_solids,
     render,
     robot_solids,
 )
@@ -34,9 +33,9 @@ from spm_pin.display.writing import (
     show_in_notebooks,
     write_name,
 )
-from spm_pin.errors import ArgumentError, require_extra
+from spm_pin.errors import ArgumentError
 from spm_pin.machine import LEGS, StageConfiguration
-from spm_pin.machine.configuration import Configuration, check_members
+from spm_pin.machine.configuration import Configuration
 from spm_pin.support.arguments import FloatArray, check_instance, real_number
 from spm_pin.support.files import file_path
 
@@ -85,27 +84,28 @@ def draw_solids(
 
 
 def draw(
-    configuration: Configuration,
+    configuration: Configuration | StageConfiguration,
     *,
     ax: Axes | None = None,
     view: tuple[float, float] = VIEW,
     labels: bool = True,
     dpi: float = 200.0,
 ) -> Axes:
-    """Draw a configuration into 2-D matplotlib Axes.
+    """Draw a state of a manipulator or a stage into 2-D matplotlib Axes.
 
     Data coordinates are metres to the right of O and above it in the picture.
 
     Parameters
     ----------
-    configuration : Configuration
-        A single configuration that exists.
+    configuration : Configuration or StageConfiguration
+        A single state that exists.
     ax : matplotlib.axes.Axes, optional
         Axes to draw into; by default those of a new figure, ``ax.figure``.
     view : tuple of two floats
         Azimuth and elevation of the viewer in {B} [rad].
     labels : bool
-        Whether joints, legs and the axes of {B} and {m} are labelled; otherwise the frames are left out too.
+        Whether joints, legs and the axes of {B} and {m} are labelled; otherwise the frames are left out too. For a
+        stage the legs are labelled, and its tilt and height written.
     dpi : float
         Pixels per inch of the solids, at the present size of `ax`.
 
@@ -118,7 +118,10 @@ def draw(
     margins = _MARGINS if labels else (0.014, 0.01)
     ax, inch, (image, extent, _) = draw_solids(solids, camera, margins, ax=ax, dpi=dpi, edge=_EDGE)
     ax.axis("off")
-    if labels:
+    if isinstance(configuration, StageConfiguration):
+        if labels:
+            _label_stage(configuration, ax, camera, float(np.ptp(ax.get_xlim())) / inch)
+    elif labels:
         size = max(float(np.ptp(ax.get_xlim())), float(np.ptp(ax.get_ylim())))
         font = float(np.clip(1.55 * size / inch, 5.0, 11.0))
         darkness = image[..., 3] * (1.0 - image[..., :3].mean(axis=-1))
@@ -126,37 +129,8 @@ def draw(
     return ax
 
 
-def stage_figure(configuration: StageConfiguration, *, names: bool = True) -> Figure:
-    """Draw a state of a stage: its base, cranks, rails or cylinders, rods, and the platform.
-
-    Parameters
-    ----------
-    configuration : StageConfiguration
-        A single state that exists.
-    names : bool
-        Whether legs are labelled.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-    """
-    state = check_instance(configuration, StageConfiguration, "configuration")
-    check_members(state, "configuration", single=True, existing=True)
-    (solids, size), camera = placed_solids(state), camera_axes(VIEW)
-    ax, *_ = draw_solids(solids, camera, (0.05, 0.05), ax=None, dpi=200.0, edge=_EDGE)
-    if names:
-        beside = 0.5 * (state.circle_centres + state.balls) + 0.4 * size * state.stage.legs.planes[0]
-        for name, place in zip(state.stage.legs.names, beside, strict=True):
-            x, y = camera[:2] @ place
-            write_name(ax, (x, y), f"${name}$", 11, "black", 0.3)
-    tilt, azimuth = np.degrees([state.tilt, state.azimuth])
-    text = f"tilt {tilt:.1f}° towards {azimuth:.0f}°, height {1e3 * float(state.height):.1f} mm"
-    ax.text(0.5, 0.98, text, fontsize=8, ha="center", va="top", transform=ax.transAxes)
-    return cast("Figure", ax.figure)
-
-
 def draw_capability(
-    configuration: Configuration,
+    configuration: Configuration | StageConfiguration,
     section: Section,
     *,
     scale: float | None = None,
@@ -194,13 +168,12 @@ def draw_capability(
 
 
 def save_picture(
-    configuration: Configuration,
+    configuration: Configuration | StageConfiguration,
     path: str | Path,
     *,
     view: tuple[float, float] = VIEW,
     labels: bool = True,
     width: int = 1000,
-    background: str = "white",
 ) -> Path:
     """Save a picture of a configuration as .png, .svg or .pdf; an existing file is replaced.
 
@@ -212,44 +185,35 @@ def save_picture(
         File to write, which is returned.
     width : int
         Width of the picture in pixels; the height follows from the view.
-    background : str
-        Any colour of matplotlib, or ``"none"``.
     """
     path = file_path(path, suffixes=FORMATS)
-    _check_appearance(width, NARROWEST[labels], background)
+    _check_width(width, NARROWEST[labels])
     dpi = width / _WIDTH
     ax = draw(configuration, view=view, labels=labels, dpi=dpi)
-    return save_figure(cast("Figure", ax.figure), path, dpi=dpi, background=background)
+    return save_figure(cast("Figure", ax.figure), path, dpi=dpi)
 
 
-def _check_appearance(width: int, narrowest: int, background: str) -> None:
-    """Check the width of a picture in pixels, and the colour behind it."""
+def _check_width(width: int, narrowest: int) -> None:
     if not isinstance(width, int) or not narrowest <= width <= _WIDEST:
         expected = f"at least {narrowest}" if isinstance(width, int) and width < narrowest else f"at most {_WIDEST}"
         raise ArgumentError("width", f"{expected} pixels, a whole number", width)
-    require_extra("plots", "matplotlib")
-    from matplotlib.colors import is_color_like
-
-    if not is_color_like(background):
-        raise ArgumentError("background", "a colour of matplotlib, such as white, #f0f0f0 or none", repr(background))
 
 
 def save_gallery(
-    configurations: Mapping[str, Configuration],
+    configurations: Mapping[str, Configuration | StageConfiguration],
     path: str | Path,
     *,
     view: tuple[float, float] = VIEW,
     labels: bool = False,
     width: int = 1600,
-    background: str = "white",
 ) -> Path:
     """Save a picture of several configurations, each under its name.
 
     Parameters
     ----------
-    configurations : mapping of str to Configuration
-        Single configurations that exist, by their titles.
-    path, view, labels, width, background
+    configurations : mapping of str to Configuration or StageConfiguration
+        Single states that exist, by their titles.
+    path, view, labels, width
         As for `save_picture`; the width is that of the whole picture.
     """
     path = file_path(path, suffixes=FORMATS)
@@ -259,7 +223,7 @@ def save_gallery(
     columns = count if count <= 4 else math.ceil(count / 2)
     rows = math.ceil(count / columns)
     narrowest = columns * (_NARROWEST_NAMED_COLUMN if labels else NARROWEST[False])
-    _check_appearance(width, narrowest, background)
+    _check_width(width, narrowest)
     dpi = width / float(columns * _GALLERY[0])
     figure = new_figure(*(_GALLERY * (columns, rows)))
     for k, (name, configuration) in enumerate(configurations.items()):
@@ -268,7 +232,7 @@ def save_gallery(
         ax = figure.add_axes(place)
         draw(configuration, ax=ax, view=view, labels=labels, dpi=dpi)
         ax.set_title(name, fontsize=11, pad=3)
-    return save_figure(figure, path, dpi=dpi, background=background)
+    return save_figure(figure, path, dpi=dpi)
 
 
 @dataclass
@@ -303,6 +267,17 @@ class _LabelPlacer:
         gaps = [(np.abs(place - centre) - half - size).max() / self.height for centre, size in self.labels]
         clash = sum(5.0 if gap < 0.0 else 1.0 - gap for gap in gaps if gap < 1.0)
         return 2.0 * mean + 10.0 * math.sqrt(max(square - mean**2, 0.0)) + clash
+
+
+def _label_stage(state: StageConfiguration, ax: Axes, camera: FloatArray, width: float) -> None:
+    """Name the legs, and write the tilt and the height above them; `width` of the picture in inches."""
+    legs = state.stage.legs
+    beside = 0.5 * (state.circle_centres + state.balls) + 0.4 * section_size(state.stage) * legs.planes[0]
+    for name, place in zip(legs.names, beside @ camera[:2].T, strict=True):
+        write_name(ax, place, f"${name}$", 2.75 * width, "black", 0.3)
+    tilt, azimuth = np.degrees([state.tilt, state.azimuth])
+    text = f"tilt {tilt:.1f}° towards {azimuth:.0f}°, height {1e3 * float(state.height):.1f} mm"
+    ax.text(0.5, 0.995, text, fontsize=2.0 * width, ha="center", va="top", transform=ax.transAxes)
 
 
 def _label(configuration: Configuration, placer: _LabelPlacer, camera: FloatArray) -> None:

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from spm_pin.description.visuals import part_placements, section_size, visual_parts
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.machine import StageConfiguration
-from spm_pin.machine.configuration import Configuration, check_configuration
+from spm_pin.machine.configuration import Configuration, check_state
 from spm_pin.support.arguments import BoolArray, FloatArray, IntArray
 
 Colour = tuple[float, float, float]
@@ -53,32 +53,25 @@ class Solid:
     nearer: float = 0.0  # distance towards the viewer by which it is drawn in front of its position [m]
 
 
-def robot_solids(configuration: Configuration, *, frames: bool = True) -> list[Solid]:
-    """Return the solids of a configuration in the URDF, and with `frames` arrows for the axes of {B} and {m}."""
-    check_configuration(configuration, single=True, existing=True)
+def robot_solids(configuration: Configuration | StageConfiguration, *, frames: bool = True) -> list[Solid]:
+    """Return the solids of a state in the URDF, and with `frames` arrows for the {B} and {m} of a manipulator."""
+    machine = check_state(configuration, single=True, existing=True).machine
     lengths = np.linalg.norm(configuration.leg_vectors, axis=-1)
     if not (lengths > 0.0).all():
         raise ArgumentError("configuration", "legs of positive length that reach their balls", lengths)
     if not np.isfinite(configuration.middle_pose.as_matrix()).all():
-        raise ArgumentError("configuration", "middle joints that span a plane", configuration.middle_joints.tolist())
-    solids, size = placed_solids(configuration)
+        raise ArgumentError("configuration", "balls that span a plane", configuration.balls.tolist())
+    size, parts = section_size(machine), zip(visual_parts(machine), part_placements(configuration), strict=True)
+    solids = [
+        Solid(part.name, part.colour, part.vertices @ pose[:3, :3].T + pose[:3, 3], part.faces) for part, pose in parts
+    ]
     triads = (("{B}", np.eye(3), np.zeros(3)), ("{m}", configuration.rotation, configuration.translation))
-    for name, rotation, origin in triads if frames else ():
+    for name, rotation, origin in triads if frames and not machine.is_stage else ():
         for k, (axis, colour) in enumerate(AXIS_COLOURS.items()):
             # Columns in cyclic order keep the handedness.
             turned = np.roll(rotation, 2 - k, axis=1)
             solids.append(arrow(f"{name} {axis}", colour, turned, origin, TRIAD * size, _NEARER * size))
     return solids
-
-
-def placed_solids(configuration: Configuration | StageConfiguration) -> tuple[list[Solid], float]:
-    """Return the solids of a state of a manipulator or a stage, and the size of their sections [m]."""
-    parts, poses = visual_parts(configuration.machine), part_placements(configuration)
-    solids = [
-        Solid(part.name, part.colour, part.vertices @ pose[:3, :3].T + pose[:3, 3], part.faces)
-        for part, pose in zip(parts, poses, strict=True)
-    ]
-    return solids, section_size(configuration.machine)
 
 
 def arrow(name: str, colour: Colour, axes: FloatArray, origin: FloatArray, length: float, nearer: float = 0.0) -> Solid:

@@ -52,8 +52,6 @@ _GAP = 3  # cells: larger gaps in a sample are not filled
 
 
 class _Part(NamedTuple):
-    """Faces of a mesh in one colour."""
-
     name: str
     family: str
     colour: Colour

@@ -53,10 +53,7 @@ def legend_below(figure: Figure, handles: Sequence[Any] = (), *, columns: int = 
 
 
 def write_name(ax: Axes, place: tuple[float, float], text: str, size: float, colour: Any, halo: float) -> None:
-    """Write a name of `size` points at a place, centred, above a white halo of a relative width.
-
-    The halo is an outline; the name itself stays text in vector files.
-    """
+    """Write a name of `size` points, centred, above a white halo of a relative width; it stays text in vector files."""
     from matplotlib.patheffects import Stroke
 
     centred: dict[str, Any] = {"fontsize": size, "ha": "center", "va": "center"}
@@ -65,7 +62,7 @@ def write_name(ax: Axes, place: tuple[float, float], text: str, size: float, col
     ax.text(*place, text, color=colour, **centred)
 
 
-def save_figure(figure: Figure, path: str | Path, *, dpi: float = 150.0, background: str = "white") -> Path:
+def save_figure(figure: Figure, path: str | Path, *, dpi: float = 150.0) -> Path:
     """Save a figure as .png, .svg or .pdf, the same bytes for the same figure; an existing file is replaced.
 
     Vector formats contain lines as lines and labels as TrueType text; shaded areas are one image with `dpi`.
@@ -77,7 +74,7 @@ def save_figure(figure: Figure, path: str | Path, *, dpi: float = 150.0, backgro
     metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix.lower())
     content, kind = io.BytesIO(), path.suffix.lower()[1:]
     with rc_context({"svg.hashsalt": "spm-pin", "pdf.fonttype": 42, "svg.fonttype": "none"}):
-        figure.savefig(content, format=kind, dpi=dpi, facecolor=background, metadata=metadata)
+        figure.savefig(content, format=kind, dpi=dpi, facecolor="white", metadata=metadata)
     write_files({path: content.getvalue()})
     return path
 

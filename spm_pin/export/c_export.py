@@ -239,17 +239,15 @@ def _formulas(machine: Manipulator) -> str:
     drawing = symbolic.nominal()
     drawn = NominalBranches(drawing, rotation, position)
 
-    def made(name: str, inputs: list[Any], *outputs: Any) -> ca.Function:
-        dense = ca.cse([_flat(x) for x in outputs])
-        return ca.Function(name, [*inputs, *symbolic.inputs], dense)
+    made = _stage_formulas()
 
-    made_functions = _stage_formulas()
+    def add(name: str, inputs: list[Any], *outputs: Any) -> None:
+        made.append(ca.Function(name, [*inputs, *symbolic.inputs], ca.cse([_flat(x) for x in outputs])))
+
     readings = ca.SX.sym("readings", 6)
     stages = [symbolic.circles(k, readings) for k in (0, 1)]
-    made_functions.append(
-        made("circles_of_readings", [readings], *(_column([stage[k] for stage in stages]) for k in (1, 2, 3)))
-    )
-    made_functions.append(made("limits_hold", [readings], ca.vertcat(*functions.within_limits(symbolic, readings))))
+    add("circles_of_readings", [readings], *(_column([stage[k] for stage in stages]) for k in (1, 2, 3)))
+    add("limits_hold", [readings], ca.vertcat(*functions.within_limits(symbolic, readings)))
     # Errors of the closure: size of terms of second order, and motion of the upper legs' planes.
     error = functions.closure_equations(symbolic, balls, rotation, position)
     points = [symbolic.planes[i].point(balls[2 * i : 2 * i + 2]) for i in range(3)]
@@ -258,30 +256,30 @@ def _formulas(machine: Manipulator) -> str:
     curvature = ca.vertcat(*(2.0 / s for s in symbolic.sides()), *(4.0 * w for _, _, w in weights))
     tilt = ca.vertcat(0, 0, 0, *(1.0 + 2.0 * (u + v + w * arms) for u, v, w in weights))
     lever = ca.vertcat(0, 0, 0, *(ca.norm_2(p - position) for p in upper))
-    made_functions.append(made("closure", [balls, *pose], error, ca.jacobian(error, balls), curvature, tilt, lever))
-    made_functions.append(made("lower_balls", [balls], ca.vertcat(*points)))
+    add("closure", [balls, *pose], error, ca.jacobian(error, balls), curvature, tilt, lever)
+    add("lower_balls", [balls], ca.vertcat(*points))
 
     both = [ca.SX.sym(name, 9) for name in ("lower", "upper")]
     placed_rotation, placed_position, _ = functions.placed(symbolic, *map(_rows, both))
-    made_functions.append(made("placed_platform", both, placed_rotation, placed_position))
+    add("placed_platform", both, placed_rotation, placed_position)
     levels = [functions.level_balls(symbolic, k, stage) for k, stage in enumerate(stages)]
-    made_functions.append(made("level_stages", [readings], *map(_column, levels)))
+    add("level_stages", [readings], *map(_column, levels))
     gap = ca.mmax(ca.fabs(functions.residual_of(state)["residual"])) / symbolic.side
     seen = ca.vertcat(*state.own_balls()[1])
-    made_functions.append(made("own_places", [joints, *pose], state.in_planes(), seen, gap))
-    made_functions.append(made("describe", [joints, *pose], state.readings, *functions.preference(symbolic, state)))
-    made_functions.append(made("own_limits", [joints, *pose], state.reach, state.least_slope(state.slopes)))
+    add("own_places", [joints, *pose], state.in_planes(), seen, gap)
+    add("describe", [joints, *pose], state.readings, *functions.preference(symbolic, state))
+    add("own_limits", [joints, *pose], state.reach, state.least_slope(state.slopes))
     slopes = state.slopes_at(ca.vertsplit(readings - symbolic.offsets))
-    made_functions.append(made("working_mode", [joints, *pose, readings], state.least_slope(slopes)))
+    add("working_mode", [joints, *pose, readings], state.least_slope(slopes))
     forces = [state.force_rows(x) for x in (state.directions, state.axes)]
-    made_functions.append(made("force_rows", [joints, *pose], *forces))
+    add("force_rows", [joints, *pose], *forces)
 
     starts = ca.vertcat(*functions.nominal_starts(symbolic, drawn)[:2])
-    made_functions.append(made("nominal_branches", pose, starts, drawn.is_degenerate("TT")))
+    add("nominal_branches", pose, starts, drawn.is_degenerate("TT"))
     quaternion = ca.SX.sym("quaternion", 4)
     forms, coordinates = functions.quadrics(symbolic, quaternion, rotation, position)
-    made_functions.append(made("quadrics", pose, ca.vertcat(*(_flat(form) for form in forms))))
-    made_functions.append(made("balls_of_root", [quaternion, *pose], coordinates))
+    add("quadrics", pose, ca.vertcat(*(_flat(form) for form in forms)))
+    add("balls_of_root", [quaternion, *pose], coordinates)
     branches = [drawn.branch(label[:2], 1.0 if label[2] == "+" else -1.0) for label in BRANCHES]
     states = [StateInCasadi(drawing, b, rotation, position) for b in branches]
     shown, discriminants = ca.vertcat(*(x.readings for x in states)), ca.vertcat(*map(drawn.discriminant, FAMILIES))
@@ -289,24 +287,24 @@ def _formulas(machine: Manipulator) -> str:
     real = ca.vertcat(*(ca.logic_and(x, branch.reach >= 0.0) for x, branch in zip(real, states, strict=True)))
     continuous = 1.0 - all_of([ca.logic_not(drawn.is_degenerate(family)) for family in FAMILIES])
     every = ca.vertcat(*(_flat(b) for b in branches))
-    made_functions.append(made("all_drawn_branches", pose, every, shown, discriminants, real, continuous))
+    add("all_drawn_branches", pose, every, shown, discriminants, real, continuous)
 
     areas = []
     for b in (symbolic.balls[:3], symbolic.balls[3:]):
         sides = in_casadi(circles.squared_sides)([parts(x) for x in b])
         areas.append(ca.norm_2(ca.cross(b[1] - b[0], b[2] - b[0])) / ca.mmax(ca.vertcat(*sides)))
-    made_functions.append(made("numbers_of_machine", [], ca.vertcat(*areas), symbolic.valid))
+    add("numbers_of_machine", [], ca.vertcat(*areas), symbolic.valid)
     size, pairs = symbolic.base + symbolic.platform + symbolic.side, []
     for name, unit in (("axes", 1.0), ("pivots", size), ("balls", size)):
         pairs += [(a - b) / unit for a, b in zip(getattr(symbolic, name), getattr(drawing, name), strict=True)]
     error = ca.mmax(ca.fabs(ca.vertcat(*pairs)))
-    made_functions.append(made("drawing_error", [], error))
+    add("drawing_error", [], error)
 
     for function in state_functions(machine):
         further = [ca.SX.sym(name, len(numbers)) for name, numbers in function.arguments.items()]
         (result,) = function.compute(state, *further).values()
-        made_functions.append(made(f"{function.name}_of", [joints, *pose, *further], result))
-    return "\n".join(map(c_function, made_functions))
+        add(f"{function.name}_of", [joints, *pose, *further], result)
+    return "\n".join(map(c_function, made))
 
 
 def _stage_formulas() -> list[ca.Function]:
@@ -358,7 +356,6 @@ def _flat(matrix: Any) -> Any:
 
 
 def _known_answers(machine: Manipulator, available: list[StateFunction]) -> dict[str, Any]:
-    """Return the tables of the test program."""
     rng, rise = np.random.default_rng(17), sum(machine.dimensions)
     # In the home assembly region; then poses anywhere, and one out of reach.
     held = _held_states(machine, rng)[: _CASES - 4]
@@ -397,7 +394,6 @@ def _held_states(machine: Manipulator, rng: np.random.Generator) -> Configuratio
 
 
 def _is_nominal(machine: Manipulator) -> bool:
-    """Return whether axes, pivots and balls are nominal."""
     legs = zip(machine.legs.arrays[:3], machine.nominal.legs.arrays[:3], strict=True)
     return all(np.array_equal(own, drawn) for own, drawn in legs)
 

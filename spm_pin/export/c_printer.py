@@ -38,10 +38,7 @@ _EXPRESSIONS = {
 
 
 def c_function(function: ca.Function) -> str:
-    """Return a function of dense arrays in C, of pointers to its arguments and to its results.
-
-    Results may be written before the last argument is read.
-    """
+    """Return a function of dense arrays in C; it may write results before the last argument is read."""
     lines, variables, is_read = [], set(), False
     for k in range(function.n_instructions()):
         operation = function.instruction_id(k)

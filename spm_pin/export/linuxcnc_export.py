@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from spm_pin.export.c_export import c_sources
 from spm_pin.export.c_texts import common_values, rendered, write_sources
-from spm_pin.export.ros_export import ASSUMED, ends_of_travel, start_readings, travel
+from spm_pin.export.ros_export import ASSUMED, start_readings, travel
 from spm_pin.export.stage_export import stage_c_sources, stage_machine_sources
 from spm_pin.kinematics import forward_physical, inverse_physical
 from spm_pin.machine import Manipulator, Stage, pose
@@ -48,37 +47,34 @@ def linuxcnc_configuration(machine: Manipulator | Stage) -> dict[str, str]:
         axes of a robot are X Y Z A B C, those of a stage Z A B: the height, roll and pitch of `inverse_displacement`.
     """
     check_machine(machine, "machine")
-    known = _Robot(machine) if isinstance(machine, Manipulator) else _StageAlone(machine)
-    joints, rates = range(len(known.home)), known.axis_rates()
+    known: Any = (_StageAlone if machine.is_stage else _Robot)(machine)
+    count, rates = len(known.home), known.axis_rates()
     home = dict(zip(known.axes, known.axis_values(known.home), strict=True))
-    sections = [
-        f"[AXIS_{axis}]\nMIN_LIMIT = {low:.0f}\nMAX_LIMIT = {high:.0f}\n"
-        f"MAX_VELOCITY = {rate:.4g}\nMAX_ACCELERATION = {acceleration:.4g}\n"
-        for axis, low, high, (rate, acceleration) in zip(known.axes, *known.reached_box(), rates, strict=True)
-    ]
     is_angle = np.isin([*known.axes], [*"ABC"])
     values = {
         **common_values(machine, f"{known.name}_"),
         "name": known.name,
-        "joints_meaning": f"0 to {joints[-1]} are the readings of the legs {', '.join(machine.legs.names)}",
+        "joints_meaning": f"0 to {count - 1} are the readings of the legs {', '.join(machine.legs.names)}",
         "axes_meaning": known.meaning,
         "includes": known.includes,
         "sources": ", ".join(name for name in known.sources if name.endswith((".c", ".h"))),
-        "joints": len(joints),
+        "joints": count,
         "units": [_UNITS[unit][0] for unit in machine.legs.units],
         "turns": known.turns,
         "coordinates": known.axes,
         "home": " ".join(_number(home.get(axis, 0.0)) for axis in "XYZABC"),
         "linear_velocity": f"{rates[~is_angle, 0].max():.4g}",
         "angular_velocity": f"{rates[is_angle, 0].max():.4g}",
-        "axis_sections": sections,
-        "joint_sections": [known.joint_section(joint) for joint in joints],
+        "axis_sections": list(zip(known.axes, *known.reached_box(), *rates.T, strict=True)),
+        "joint_sections": [known.joint_section(joint) for joint in range(count)],
+        "feed": known.feed,
+        "blending": known.blending,
+        "way": [list(zip(known.axes, map(_number, row), strict=True)) for row in known.way()],
     }
-    texts = {
-        f"{known.name}{end}": rendered(f"linuxcnc/{template}", values)
-        for end, template in (("kins.c", "kins.c"), (".ini", "machine.ini"), (".hal", "machine.hal"))
-    }
-    return texts | known.sources | {"demo.ngc": known.program(), "tool.tbl": ""}
+    kinds = ("kins.c", "kins.c"), (".ini", "machine.ini"), (".hal", "machine.hal")
+    texts = {f"{known.name}{end}": rendered(f"linuxcnc/{template}", values) for end, template in kinds}
+    texts["demo.ngc"], texts["tool.tbl"] = rendered("linuxcnc/demo.ngc", values), ""
+    return {**texts, **known.sources}
 
 
 def write_linuxcnc(machine: Manipulator | Stage, directory: str | Path) -> list[Path]:
@@ -89,39 +85,16 @@ def write_linuxcnc(machine: Manipulator | Stage, directory: str | Path) -> list[
     return write_sources(directory, lambda: linuxcnc_configuration(machine))
 
 
-class _Machine(ABC):
+class _Machine:
     """A machine in LinuxCNC's configuration. Values of axes are in millimetres and degrees."""
 
     machine: Any
-    name: str
-    """Prefix of the names of its files."""
     axes: str
-    meaning: str
-    """Sentence on the meaning of the axes, for the comments of the configuration."""
-    feed: str
-    """Sentence on the unit of the feed rate F, for the comment of the demo program."""
-    blending: str
-    """G-code with which the demo program passes its points without a stop."""
-    turns: str
-    """The axes in the order in which AXIS applies them, [DISPLAY]GEOMETRY: C before A for Rz(C) Ry(B) Rx(A)."""
-    includes: str
-    sources: dict[str, str]
-    home: FloatArray
-    """Readings of the home in LinuxCNC, shape (joints,)."""
-    ends: tuple[FloatArray, FloatArray]
-    """Smallest and largest readings, assumed if there is no limit."""
-
-    @abstractmethod
-    def axis_values(self, readings: FloatArray) -> FloatArray:
-        """Return the values of the axes (..., axes) for readings (..., joints), NaN if missing."""
-
-    @abstractmethod
-    def readings(self, values: FloatArray) -> FloatArray:
-        """Return the readings for values of the axes near the home."""
-
-    @abstractmethod
-    def circle(self, size: float) -> FloatArray:
-        """Return values of the axes (n, axes) for a tilt whose direction moves round a circle, of size 1 or smaller."""
+    home: FloatArray  # readings of the home in LinuxCNC, shape (joints,)
+    ends: tuple[FloatArray, FloatArray]  # smallest and largest readings, assumed if there is no limit
+    axis_values: Any  # values of the axes (..., axes) for readings (..., joints), NaN if missing
+    readings: Any  # readings for values of the axes near the home
+    circle: Any  # values of the axes (n, axes) for a tilt whose direction moves round a circle, of size 1 or smaller
 
     def axis_rates(self) -> FloatArray:
         """Return rates and accelerations (axes, 2) for which no joint needs more than half of its own, in the home."""
@@ -136,18 +109,18 @@ class _Machine(ABC):
         low, high = np.nanmin(values, axis=0), np.nanmax(values, axis=0)
         return np.floor(low - 0.1 * (high - low)), np.ceil(high + 0.1 * (high - low))
 
-    def joint_section(self, joint: int) -> str:
-        """Return the section of `machine.ini` about a joint."""
+    def joint_section(self, joint: int) -> dict[str, Any]:
+        """Return the values of the section of `machine.ini` about a joint."""
         unit, limits = self.machine.legs.units[joint], self.machine.reading_limits
         (_, scale, joint_type), (rate, acceleration) = _UNITS[unit], ASSUMED[unit]
-        home = _number(scale * self.home[joint])
         ends = zip(("MIN", "MAX"), limits[:, joint], strict=True)
-        lines = [f"[JOINT_{joint}]", f"TYPE = {joint_type}"]
-        lines += [f"{end}_LIMIT = {_number(scale * x)}" for end, x in ends if np.isfinite(x)]
-        lines += [f"MAX_VELOCITY = {scale * rate:.6g}", f"MAX_ACCELERATION = {scale * acceleration:.6g}"]
-        lines += ["FERROR = 1.0", "MIN_FERROR = 0.1"]
-        lines += [f"HOME = {home}", f"HOME_OFFSET = {home}", "HOME_SEQUENCE = 0\n"]
-        return "\n".join(lines)
+        return {
+            "type": joint_type,
+            "limits": [(end, _number(scale * x)) for end, x in ends if np.isfinite(x)],
+            "rate": scale * rate,
+            "acceleration": scale * acceleration,
+            "home": _number(scale * self.home[joint]),
+        }
 
     def can_follow(self, way: FloatArray) -> bool:
         """Return whether the joints can follow straight lines between points (n, axes), the axes at their rates."""
@@ -159,16 +132,11 @@ class _Machine(ABC):
         is_slow = np.abs(np.diff(readings, axis=1)) <= rates * times
         return bool(is_slow.all() and ((readings > low) & (readings < high)).all())
 
-    def program(self) -> str:
-        """Return a program in which the platform's tilt goes round a small circle, from the home and back."""
+    def way(self) -> FloatArray:
+        """Return the points (n, axes) of the program: a small circle of the platform's tilt, from the home and back."""
         home = self.axis_values(self.home)
         ways = (np.array([home, *self.circle(size), home]) for size in _SIZES)
-        way = next(filter(self.can_follow, ways), np.array([home]))
-        lines = ["(The platform's tilt goes round a small circle. Turn the machine on and home all joints first.)"]
-        lines += [f"({self.feed})", f"G21 G90 G94 {self.blending} F600"]
-        for row in way:
-            lines.append("G1 " + " ".join(f"{name}{_number(x)}" for name, x in zip(self.axes, row, strict=True)))
-        return "\n".join([*lines, "M2", ""])
+        return next(filter(self.can_follow, ways), np.array([home]))
 
 
 class _Robot(_Machine):
@@ -183,7 +151,7 @@ class _Robot(_Machine):
 #pragma GCC diagnostic ignored "-Wframe-larger-than="
 #include "spm_kinematics.c\""""
 
-    def __init__(self, machine: Manipulator) -> None:
+    def __init__(self, machine: Any) -> None:
         self.machine, self.ends = machine, travel(machine)
         readings, _ = start_readings(machine)
         self.home, self.state = np.array(readings), forward_physical(machine, readings)
@@ -216,11 +184,9 @@ class _StageAlone(_Machine):
     blending = "G64"
     includes = '#define STAGE_DOUBLE\n#include "stage_read_machine.h"'
 
-    def __init__(self, stage: Stage) -> None:
-        level = inverse_physical(stage, home_height(stage))
-        self.machine, self.home = stage, level.readings
-        stroke = np.hypot(*level.places.T) / np.abs(stage.legs.largest_slopes)
-        self.ends = ends_of_travel(stage.reading_limits, self.home, stroke)
+    def __init__(self, stage: Any) -> None:
+        self.machine, self.ends = stage, travel(stage)
+        self.home = inverse_physical(stage, home_height(stage)).readings
         self.sources = {"stage.h": stage_c_sources(stage)["stage.h"], **stage_machine_sources(stage)}
 
     def axis_values(self, readings: FloatArray) -> FloatArray:
@@ -237,5 +203,4 @@ class _StageAlone(_Machine):
 
 
 def _number(x: float) -> str:
-    """Return a number of millimetres or degrees with at most nine decimals."""
     return np.format_float_positional(round(float(x), 9) + 0.0, trim="0")

@@ -102,7 +102,9 @@ def ros_package(
     package_files = {
         path.removeprefix("ros/").removesuffix(".in"): rendered(path, values) for path in template_names("ros/")
     }
-    hardware = _hardware(machine, package, slides, zeros, readings)
+    initial = [reading - zero for reading, zero in zip(readings, zeros, strict=True)]
+    driven = list(zip(slides, initial, *(machine.reading_limits - zeros).tolist(), strict=True))
+    hardware = rendered("ros2_control.xml", {"package": package, "joints": driven, "infinity": np.inf})
     package_files["urdf/spm.urdf"] = urdf.replace("</robot>", f"{hardware}</robot>")
     package_files["urdf/spm.srdf"] = srdf_text(machine=machine, prefix=prefix)
     package_files |= {
@@ -142,7 +144,6 @@ def _joint_values(stage: Stage) -> ca.Function:
 
 
 def _flat(frame: LegFrame) -> FloatArray:
-    """Return the constants of a leg one after the other."""
     return np.concatenate([np.ravel(part) for part in frame])
 
 
@@ -176,14 +177,8 @@ def _checked_name(name: str, argument: str) -> str:
 
 def travel(machine: Machine) -> tuple[FloatArray, FloatArray]:
     """Return the smallest and largest readings, without limits those of a `_stroke` about the home."""
-    home = home_readings(machine) + machine.legs.offsets
-    limits = machine.limits or machine.legs.free_limits
-    return ends_of_travel(limits.ends, home, _stroke(machine))
-
-
-def ends_of_travel(limits: FloatArray, home: FloatArray, stroke: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the smallest and largest readings of limits (2, legs), without limits a stroke about the home."""
-    minimum, maximum = limits
+    home, stroke = home_readings(machine) + machine.legs.offsets, _stroke(machine)
+    minimum, maximum = (machine.limits or machine.legs.free_limits).ends
     low = np.where(np.isfinite(minimum), minimum, home - stroke)
     return low, np.minimum(maximum, np.maximum(low, home) + stroke)
 
@@ -204,18 +199,3 @@ def start_readings(machine: Any) -> tuple[list[float], Any]:
         if states.exists.all():
             return readings.tolist(), states[1]
     raise ArgumentError("machine", "leg limits with a state in their middle", machine)
-
-
-def _hardware(machine: Machine, name: str, slides: list[str], zeros: list[float], readings: list[float]) -> str:
-    """Return the description's `<ros2_control>`: the actuated joints, their zeros and units the description's."""
-    limits = machine.limits or machine.legs.free_limits
-    lines = [f'  <ros2_control name="{name}" type="system">', "    <hardware>"]
-    lines += ["      <plugin>mock_components/GenericSystem</plugin>", "    </hardware>"]
-    for leg, (slide, zero, reading) in enumerate(zip(slides, zeros, readings, strict=True)):
-        lines += [f'    <joint name="{slide}">', '      <command_interface name="position">']
-        ends = (("min", limits.minimum[leg]), ("max", limits.maximum[leg]))
-        lines += [f'        <param name="{end}">{x - zero!r}</param>' for end, x in ends if np.isfinite(x)]
-        lines += ["      </command_interface>", '      <state_interface name="position">']
-        lines += [f'        <param name="initial_value">{reading - zero!r}</param>', "      </state_interface>"]
-        lines += ["    </joint>"]
-    return "\n".join([*lines, "  </ros2_control>", ""])

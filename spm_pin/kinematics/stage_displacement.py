@@ -190,11 +190,11 @@ def read_heights(stage: Stage, height: npt.ArrayLike, argument: str = "height") 
 
 
 def normals_of_request(
-    tilt: npt.ArrayLike | None,
-    azimuth: npt.ArrayLike | None,
-    roll: npt.ArrayLike | None,
-    pitch: npt.ArrayLike | None,
-    normal: npt.ArrayLike | None,
+    tilt: npt.ArrayLike | None = None,
+    azimuth: npt.ArrayLike | None = None,
+    roll: npt.ArrayLike | None = None,
+    pitch: npt.ArrayLike | None = None,
+    normal: npt.ArrayLike | None = None,
 ) -> FloatArray:
     """Return the unit normals (..., 3) that arguments of `inverse` describe."""
     ways = {"tilt": tilt is not None or azimuth is not None, "roll": roll is not None or pitch is not None}

@@ -97,10 +97,7 @@ def _hull(normals: FloatArray) -> IntArray:
 
 
 class LeastTime:
-    """The fastest motion along a path with knots (k,) from 0 to 1, over a grid of at least so many parts.
-
-    `rows_at` returns the limits at parameters (m,).
-    """
+    """The fastest motion along a path with knots (k,) from 0 to 1, whose limits at parameters (m,) are `rows_at`."""
 
     def __init__(self, knots: FloatArray, parts: int, rows_at: Callable[[FloatArray], LimitRows]) -> None:
         grid = even_grid(knots, parts)

@@ -208,10 +208,7 @@ class LimitRows:
     fastest: FloatArray  # largest x at each point of the grid, shape (n,)
 
     def feasible_scale(self, x: FloatArray, u: FloatArray) -> FloatArray:
-        """Return the largest factor of ṡ² and s̈ (n,) with which all limits hold, shape (n,).
-
-        All rows hold at rest, and therefore with every smaller factor too.
-        """
+        """Return the largest factor (n,) of ṡ² and s̈ (n,) with which, and with all smaller ones, limits hold."""
         moved = self.a * u[:, None] + self.b * x[:, None]
         room = np.where(moved > 0.0, self.upper - self.c, self.c - self.lower)
         with np.errstate(divide="ignore", invalid="ignore"):

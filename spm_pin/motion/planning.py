@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.errors import ArgumentError, UnreachableError
+from spm_pin.errors import ArgumentError, UnreachableError, sentence
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_physical
 from spm_pin.kinematics.singularity_analysis import determinants
@@ -209,7 +209,7 @@ def _state(machine: AnyMachine, place: Place, name: str) -> State:
         lengths = real_array(place, name, (count,), f"readings in {unit}")  # type: ignore[arg-type]
         state = forward_physical(machine, lengths)
         if not state.exists:
-            expected, cause = "readings of the physical mode", _sentence(state.missing_reason)
+            expected, cause = "readings of the physical mode", sentence(state.missing_reason)
             raise UnreachableError(name, expected, f"{lengths.tolist()}", cause)
         return state
     if isinstance(machine, Stage):
@@ -223,14 +223,9 @@ def _state(machine: AnyMachine, place: Place, name: str) -> State:
     if state.shape:
         raise ArgumentError(name, "one state", f"a batch of shape {state.shape}")
     if not state.exists:
-        cause = _sentence(state.missing_reason) or "Level poses are singular for the inverse: give leg lengths instead"
+        cause = sentence(state.missing_reason) or "Level poses are singular for the inverse: give leg lengths instead"
         raise UnreachableError(name, "a pose with a physical branch", "a pose without one", cause)
     return state
-
-
-def _sentence(reason: str) -> str:
-    """Return a reason with a capital letter, to follow a full stop."""
-    return reason[:1].upper() + reason[1:]
 
 
 def _along_poses(rules: _PathRules, states: list[State], certificate: Certificate | None) -> MotionPlan:
@@ -392,10 +387,7 @@ def _shortened(rules: _PathRules, corners: list[FloatArray], rng: np.random.Gene
 
 
 def _smooth_path(rules: _PathRules, points: list[FloatArray]) -> tuple[LegPath, State] | None:
-    """Return a smooth path near the straight lines between points, and its states; None if it breaks a rule.
-
-    Points are added in between until it keeps the rules as the lines do.
-    """
+    """Return a smooth path near the straight lines between points, and its states; None if it breaks a rule."""
     rows = np.array(points)
     for _ in range(7):
         path = LegPath(rows)

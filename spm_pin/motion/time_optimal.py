@@ -212,10 +212,7 @@ def _path(path: Any, chain: multibody.ClosedChain) -> MotionPath:
 
 
 def _refuse_events(chain: multibody.ClosedChain, along: PathDynamics, path: MotionPath, *, planned: bool) -> None:
-    """Raise `ArgumentError` where a path crosses a singularity or, unless it was planned, a leg limit of the chain.
-
-    A path of leg lengths may cross inverse singularities: the legs lead through.
-    """
+    """Raise where a path crosses a singularity (of legs, a forward one) or, unless it was planned, a leg limit."""
     if not planned:
         machine, readings = chain.machine, along.states.readings
         check_path_readings(machine.limits, machine.legs.units, readings, "path", along.parameters, "parameter")

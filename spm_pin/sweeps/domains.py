@@ -198,9 +198,7 @@ class Domain:
         return np.array([[axis.start for axis in self.axes], [axis.stop for axis in self.axes]])
 
 
-def pose_grid(
-    x: AxisRange, y: AxisRange, z: AxisRange, *others: AxisRange, xyx: Sequence[AxisRange] | None = None
-) -> Domain:
+def pose_grid(x: AxisRange, y: AxisRange, z: AxisRange, *, xyx: Sequence[AxisRange]) -> Domain:
     """Describe a lattice of poses.
 
     Parameters
@@ -216,7 +214,7 @@ def pose_grid(
     >>> grid.dims, grid.size
     (('x', 'y'), 10201)
     """
-    return _domain(Manipulator, "pose", [x, y, z, *_angles(xyx, others)])
+    return _domain(Manipulator, "pose", [x, y, z, *_three(xyx, "xyx")])
 
 
 def tilt_grid(height: AxisRange, tilt: AxisRange, azimuth: AxisRange) -> Domain:
@@ -238,9 +236,7 @@ def tilt_grid(height: AxisRange, tilt: AxisRange, azimuth: AxisRange) -> Domain:
     return _domain(Stage, "tilt", [height, tilt, azimuth])
 
 
-def leg_grid(
-    lower: AxisRange | Sequence[AxisRange], upper: AxisRange | Sequence[AxisRange] | None = None, *others: AxisRange
-) -> Domain:
+def leg_grid(lower: AxisRange | Sequence[AxisRange], upper: AxisRange | Sequence[AxisRange] | None = None) -> Domain:
     """Describe a lattice of readings, which are lengths for RPS legs.
 
     Parameters
@@ -250,17 +246,11 @@ def leg_grid(
         value for all three legs, or a list of three. A tuple of three numbers is a range. For a stage only `lower`, for
         r_1, r_2, r_3.
     """
-    return _leg_domain(lower, upper, others)
+    return _leg_domain(lower, upper)
 
 
 def pose_sample(
-    count: int,
-    x: AxisRange,
-    y: AxisRange,
-    z: AxisRange,
-    *others: AxisRange,
-    xyx: Sequence[AxisRange] | None = None,
-    seed: int = 0,
+    count: int, x: AxisRange, y: AxisRange, z: AxisRange, *, xyx: Sequence[AxisRange], seed: int = 0
 ) -> Domain:
     """Describe poses drawn from a box of positions and X-Y-X angles, by scrambled Sobol sequences.
 
@@ -272,7 +262,7 @@ def pose_sample(
         As for `pose_grid`, with ranges (start, stop). The distribution is uniform in these coordinates; one that is
         uniform over rotations has the weight ``|sin β|``.
     """
-    return _domain(Manipulator, "pose", [x, y, z, *_angles(xyx, others)], Sample(count, seed))
+    return _domain(Manipulator, "pose", [x, y, z, *_three(xyx, "xyx")], Sample(count, seed))
 
 
 def tilt_sample(count: int, height: AxisRange, tilt: AxisRange, azimuth: AxisRange, *, seed: int = 0) -> Domain:
@@ -293,7 +283,7 @@ def leg_sample(
     count: int,
     lower: AxisRange | Sequence[AxisRange],
     upper: AxisRange | Sequence[AxisRange] | None = None,
-    *others: AxisRange,
+    *,
     seed: int = 0,
 ) -> Domain:
     """Describe readings drawn from a box, by scrambled Sobol sequences.
@@ -305,7 +295,7 @@ def leg_sample(
     lower, upper
         As for `leg_grid`, with ranges (start, stop).
     """
-    return _leg_domain(lower, upper, others, Sample(count, seed))
+    return _leg_domain(lower, upper, Sample(count, seed))
 
 
 def _domain(machine: type[Machine], space: Space, ranges: list[AxisRange], sample: Sample | None = None) -> Domain:
@@ -316,19 +306,7 @@ def _domain(machine: type[Machine], space: Space, ranges: list[AxisRange], sampl
     return Domain(space, axes, sample)
 
 
-def _angles(xyx: Sequence[AxisRange] | None, others: tuple[AxisRange, ...]) -> list[AxisRange]:
-    _refuse(others, "xyx", "the three angles as xyx=[α, β, λ]")
-    return _three(xyx, "xyx")
-
-
-def _refuse(others: tuple[AxisRange, ...], argument: str, expected: str) -> None:
-    """Raise `ArgumentError` if ranges that belong in one list are given as separate arguments."""
-    if others:
-        raise ArgumentError(argument, expected, f"{len(others)} separate ranges")
-
-
-def _leg_domain(lower: Any, upper: Any, others: tuple[AxisRange, ...], sample: Sample | None = None) -> Domain:
-    _refuse(others, "lower, upper", "ranges of the lower and of the upper legs, each one or a list of three")
+def _leg_domain(lower: Any, upper: Any, sample: Sample | None = None) -> Domain:
     stages = [("lower", lower), ("upper", upper)][: 1 if upper is None else 2]
     ranges = [x for name, stage in stages for x in _three(stage if isinstance(stage, list) else [stage] * 3, name)]
     return _domain(Stage if upper is None else Manipulator, "legs", ranges, sample)
@@ -437,10 +415,7 @@ class SweepPlan:
         return math.prod(part.stop - part.start for part in self.domain.region(index, self.chunk))
 
     def prepare(self) -> None:
-        """Evaluate the metrics at two points; raises `SpmError` where one cannot be computed for this machine.
-
-        The points are the ends of the domain, so that heights and readings in another unit are refused before the work.
-        """
+        """Evaluate the metrics at the ends of the domain; heights and readings in another unit are refused there."""
         from spm_pin.kinematics.kernels.compilation import expecting
 
         with expecting(self.domain.size):

@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics import forward_displacement, singular_values
-from spm_pin.machine import BRANCHES, Configuration, Manipulator, StageConfiguration, Status
+from spm_pin.machine import BRANCHES, Configuration, StageConfiguration, Status
 from spm_pin.support.arguments import BoolArray, FloatArray, check_instance, choice, real_number
 from spm_pin.sweeps.points import Points
 
@@ -305,7 +305,7 @@ _MODES_AT_A_TIME = 64
 
 
 def _check_manipulator(points: Points, metric: str) -> None:
-    if not isinstance(points.machine, Manipulator):
+    if points.machine.is_stage:
         raise ArgumentError("metrics", "metrics that a stage has", metric, "It is defined for manipulators only")
 
 

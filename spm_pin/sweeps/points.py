@@ -192,8 +192,8 @@ class Points:
         if self.space == "tilt":
             heights, tilts, azimuths = self.coordinates.T
             return Tilts(normals_of_tilt(tilts, azimuths), heights)
-        assembled = self.assembled[self.assembled.exists]
-        if isinstance(assembled, StageConfiguration):
+        assembled: Any = self.assembled[self.assembled.exists]
+        if self.machine.is_stage:
             return Tilts(assembled.normal, assembled.height)
         return Poses(assembled.rotation, assembled.translation)
 

@@ -170,10 +170,7 @@ def store_path(store: str | os.PathLike[str]) -> Path:
 
 
 def read_plan(path: Path) -> SweepPlan:
-    """Return the plan of the sweep whose store is at `path`.
-
-    Raises `ArgumentError` if there is no such store, `StoreError` if it is damaged, or not written by a sweep.
-    """
+    """Return the plan of the sweep at `path`: `ArgumentError` if there is none, `StoreError` if it is damaged."""
     with as_store_error(path, "definition"):
         file = path / "zarr.json"
         stored = json.loads(file.read_bytes())["attributes"].get("spm_pin_sweep") if file.exists() else None

@@ -18,10 +18,7 @@ from spm_pin.description import CLOSURES_PATH, PACKAGE_PATH, URDF_PATH, mjcf_tex
 def test_every_format_is_what_the_writers_write(tmp_path: Path) -> None:
     for arguments, expected in (
         (["--format", "urdf", "--ros-constraints"], urdf_text(ros_constraints=True)),
-        (
-            ["--format", "mjcf", "--anchors", "sites", "--collisions", "simple"],
-            mjcf_text(anchors="sites", collisions="simple"),
-        ),
+        (["--format", "mjcf", "--collisions", "simple"], mjcf_text(collisions="simple")),
         (["--format", "sdf", "--loops", "drake"], sdf_text(loops="drake")),
     ):
         done = run("export", *arguments)

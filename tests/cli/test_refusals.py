@@ -41,7 +41,6 @@ REFUSED = [
     ("draw --out /dev/null/x.png --width 100 --no-names", "a file that can be written"),
     ("draw --out x.png --names --width 199", "at least 200 pixels"),
     ("draw --out x.png --view 900 0", "--view: expected azimuth and elevation in degrees"),
-    ("draw --out x.png --background notacolour", "--background: expected a colour"),
     ("draw --out x.png --width 100000", "--width: expected at most"),
     # export, urdf
     ("export", "FORMAT: expected one of urdf, mjcf, sdf"),

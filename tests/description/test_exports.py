@@ -25,9 +25,7 @@ CLOSED = ["home", *(f"solution_{number}" for number in (1, 2, 3, 4, 6, 7))]
 CASES = [
     ("pinocchio", "urdf"),
     ("pinocchio", "mjcf"),
-    ("pinocchio", "mjcf by sites"),
     ("mujoco", "mjcf"),
-    ("mujoco", "mjcf by sites"),
     ("drake", "urdf"),
     ("drake", "written urdf"),
     ("drake", "mjcf"),
@@ -39,7 +37,6 @@ CASES = [
 def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("exports")
     texts = {
-        "sites.xml": mjcf_text(anchors="sites"),
         "written.urdf": urdf_text(ros_constraints=True),
         "drake.sdf": sdf_text(loops="drake"),
     }
@@ -48,7 +45,6 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return {
         "urdf": Path(URDF_PATH),
         "mjcf": Path(MJCF_PATH),
-        "mjcf by sites": folder / "sites.xml",
         "written urdf": folder / "written.urdf",
         "sdf for drake": folder / "drake.sdf",
     }

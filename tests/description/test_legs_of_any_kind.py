@@ -130,7 +130,7 @@ def test_leg_forces_balance_in_mujoco() -> None:
     """Slide forces and forces of MuJoCo's constraints together hold the wrench, in all eighteen joints."""
     mujoco = pytest.importorskip("mujoco")
     machine = BUILT
-    model = mujoco.MjModel.from_xml_string(mjcf_text(machine, anchors="sites"))
+    model = mujoco.MjModel.from_xml_string(mjcf_text(machine))
     data = mujoco.MjData(model)
     loads = np.random.default_rng(2).standard_normal((12, 6))
     chain = spm.ClosedChain.from_urdf(machine=machine)
@@ -155,12 +155,12 @@ def test_leg_forces_balance_in_mujoco() -> None:
         np.testing.assert_allclose(-unknown[6:].reshape(4, 3), chain.state(q).cut_forces(load), rtol=1e-7, atol=1e-7)
 
 
-@pytest.mark.parametrize(("name", "anchors"), [("robot", "bodies"), ("robot", "sites"), ("stage", "bodies")])
-def test_the_home_of_an_mjcf_and_its_states_are_closed_in_mujoco(name: str, anchors: str) -> None:
+@pytest.mark.parametrize("name", ["robot", "stage"])
+def test_the_home_of_an_mjcf_and_its_states_are_closed_in_mujoco(name: str) -> None:
     mujoco = pytest.importorskip("mujoco")
     machine = BALANCER if name == "stage" else BUILT
     state = state_of(machine)
-    model = mujoco.MjModel.from_xml_string(mjcf_text(machine, states={"mine": state}, anchors=anchors))
+    model = mujoco.MjModel.from_xml_string(mjcf_text(machine, states={"mine": state}))
     data, count = mujoco.MjData(model), 3 * model.neq
     assert count == (6 if name == "stage" else 12)
     actuated = actuated_joints(machine)

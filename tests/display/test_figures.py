@@ -14,7 +14,7 @@ import spm_pin as spm
 from spm_pin.crosscheck import Paper, compare_methods
 from spm_pin.crosscheck.paper.jacobian import Table5Mistakes
 from spm_pin.design import DesignProblem, Designs, Front
-from spm_pin.display import reach_figure, stage_figure
+from spm_pin.display import draw, reach_figure
 from spm_pin.display.figures import agreement_figure, front_figure
 from spm_pin.display.rendering import VIEW, camera_axes
 from spm_pin.display.writing import new_figure, save_figure
@@ -80,7 +80,7 @@ def test_a_front_shows_its_machines_and_the_one_that_it_began_with() -> None:
 def test_a_stage_and_its_reach_are_drawn() -> None:
     stage = spm.Stage(0.35, 0.3, spm.RRS(crank=0.2, rod=0.4))
     state = spm.inverse_physical(stage, 0.45, tilt=0.1, azimuth=0.0)
-    ax = stage_figure(state).axes[0]
+    ax = draw(state)
     (image,) = ax.images
     left, right, low, high = image.get_extent()
     # The balls are in the picture, which has something there.
@@ -89,7 +89,7 @@ def test_a_stage_and_its_reach_are_drawn() -> None:
         pixels = image.get_array()
         assert pixels[int(row * pixels.shape[0]), int(column * pixels.shape[1]), 3] > 0.9
     with pytest.raises(spm.ArgumentError, check=with_fields(argument="configuration")):
-        stage_figure(spm.inverse_physical(stage, [0.4, 0.5]))
+        draw(spm.inverse_physical(stage, [0.4, 0.5]))
     reach = spm.workspace.reach(stage, [0.3, 0.45], directions=24)
     lines = reach_figure(reach).axes[0].lines
     np.testing.assert_allclose(lines[1].get_ydata()[:-1], np.degrees(reach.tilts[1]))

@@ -116,7 +116,7 @@ def test_legs_drive_the_platform_and_stop_before_a_singularity():
 
 
 def test_equal_legs_have_no_isolated_branch_and_are_left_again():
-    model = ViewerModel(START, spm.ClosedChain.from_urdf())
+    model = ViewerModel(START)
     state = model.set_readings([1.3] * 6)
     assert state.label == ""
     assert state.labels == ()
@@ -196,7 +196,7 @@ def test_angles_are_shown_as_roll_pitch_yaw_too():
 
 def test_the_exported_command_and_the_exported_json_hold_the_state():
     chain = spm.ClosedChain.from_urdf()
-    model = ViewerModel(START, chain)
+    model = ViewerModel(START)
     model.load([0.0, 0.0, -500.0, 0.0, 0.0, 0.0])
     content = json.loads(to_json(model.data()))
     np.testing.assert_array_equal(np.array(content["pose"]), START.pose.as_matrix())

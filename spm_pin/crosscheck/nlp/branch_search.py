@@ -135,10 +135,7 @@ def search(
 
 
 class IpoptSolver:
-    """The square feasibility problem: no objective, the nine loop equations as constraints.
-
-    Options that IPOPT or CasADi refuses raise `ArgumentError`, some of them only when the solver is called.
-    """
+    """The square feasibility problem: no objective, the nine loop equations as constraints."""
 
     def __init__(self, machine: Machine, options: Mapping[str, Any] | None = None) -> None:
         b, pose = ca.SX.sym("b", 9), ca.SX.sym("pose", 12)

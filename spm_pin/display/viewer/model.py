@@ -14,6 +14,8 @@ import numpy.typing as npt
 from scipy.spatial import KDTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from spm_pin.description.robot import read_robot
+from spm_pin.description.tree import joint_values
 from spm_pin.display.writing import fixed
 from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.kinematics import (
@@ -31,7 +33,6 @@ from spm_pin.kinematics.readings import read_readings
 from spm_pin.machine import FAMILIES, LEGS, Configuration, Manipulator, SolutionSet, Stage, StageConfiguration, Status
 from spm_pin.machine.batched import Batched
 from spm_pin.machine.branch_of_state import family
-from spm_pin.multibody.chain import ClosedChain
 from spm_pin.support.arguments import BoolArray, FloatArray, real_array
 from spm_pin.support.pose import inverse_command
 from spm_pin.workspace.poses import nearest_reachable_pose, pose_distance
@@ -56,16 +57,30 @@ def pose_coordinates(pose: RigidTransform, angles: str = "X-Y-X") -> FloatArray:
 
 
 @dataclass(frozen=True)
-class SessionState:
-    """The configuration shown, the requested pose and the load; derived values are computed on first use."""
+class ShownState:
+    """The state of either machine shown, the requested pose and the load; derived values are computed on first use."""
 
-    target: RigidTransform  # the requested pose of {m} in {B}; that of `shown` if legs were moved
-    shown: Configuration
+    target: RigidTransform  # the requested pose of the platform in {B}; that of `shown` if legs were moved
+    shown: Any
+    distance: float  # root mean square distance of the balls from their requested positions [m]; 0 if reached
+    wrench: FloatArray  # the load (f, m) on the platform at its origin in {B}, shape (6,) [N, N m]
+    remarks: tuple[str, ...] = ()  # warnings about the motion that led here
+
+    @cached_property
+    def forces(self) -> FloatArray | None:
+        """Efforts of the actuators (legs,); None if there are loads that they cannot balance."""
+        try:
+            return leg_forces(self.shown, self.wrench)
+        except SingularConfigurationError:
+            return None
+
+
+@dataclass(frozen=True, kw_only=True)
+class SessionState(ShownState):
+    """A state of a manipulator."""
+
     label: str  # branch of `shown`; empty if its pose has none, because its solutions form a continuous family
     solutions: SolutionSet  # all branches of the pose of `shown`
-    distance: float  # root mean square distance of the c_i from their requested positions [m]; 0 if reached
-    wrench: FloatArray  # the load (f, m) on the platform at o in {B}, shape (6,) [N, N m]
-    remarks: tuple[str, ...] = ()  # warnings about the motion that led here
     origin: tuple[str, FloatArray] | None = None  # where it began: the branch, and the determinants of J_b, J_c, K
 
     @cached_property
@@ -81,7 +96,8 @@ class SessionState:
     @cached_property
     def singularities(self) -> Singularities:
         """The singular values and determinants of J_b, J_c and K."""
-        return singularities(self.shown)
+        found: Singularities = singularities(self.shown)
+        return found
 
     @cached_property
     def travel(self) -> FloatArray:
@@ -123,14 +139,6 @@ class SessionState:
         return f"o = ({o}) m, {convention} = ({angles})\u2060°"
 
     @cached_property
-    def forces(self) -> FloatArray | None:
-        """Forces of the legs (6,) [N]; None if there are loads that the legs cannot balance."""
-        try:
-            return leg_forces(self.shown, self.wrench)
-        except SingularConfigurationError:
-            return None
-
-    @cached_property
     def warnings(self) -> list[str]:
         """Warnings to the user, the most important first."""
         warnings = list(self.remarks)
@@ -158,11 +166,26 @@ class SessionState:
         return notes
 
 
-class ViewerModel:
-    """A session's state and its transitions, from a configuration that exists. Not thread-safe.
+class Model:
+    """A session's state and its transitions; `file` is the file of the machine. Not thread-safe."""
 
-    `chain` gives q, and `file` is the file of the machine: for the shared data of a state.
-    """
+    state: ShownState
+
+    def __init__(self, file: Path | None) -> None:
+        self.file = file
+        self.hold_limits = True  # whether a machine within its leg limits stays there
+
+    def load(self, wrench: npt.ArrayLike) -> Any:
+        """Apply a wrench (f, m) to the platform at its origin in {B} [N, N m]."""
+        load = real_array(wrench, "wrench", (6,), "(f, m) at the platform's origin in {B} in N and N m")
+        self.state = replace(self.state, wrench=load)
+        return self.state
+
+
+class ViewerModel(Model):
+    """A manipulator's state and its transitions, from a configuration that exists."""
+
+    state: SessionState
 
     conventions: ClassVar[dict[str, tuple[str, ...]]] = {
         "X-Y-X": ("x [m]", "y [m]", "z [m]", "α [°]", "β [°]", "λ [°]"),
@@ -173,11 +196,12 @@ class ViewerModel:
     hint = "The paper's X-Y-X, or about the fixed axes X, Y, Z as in a URDF"
     values_name = "q"
 
-    def __init__(self, start: Configuration, chain: ClosedChain | None = None, file: Path | None = None) -> None:
-        self.chain, self.file = chain, file
-        self.hold_limits = True  # whether a machine within its leg limits stays there
+    def __init__(self, start: Configuration, file: Path | None = None) -> None:
+        super().__init__(file)
+        self.joints = [joint.name for joint in read_robot(start.machine).moving]
         solutions = inverse_displacement(start.machine, start.pose)
-        self.state = SessionState(start.pose, start, _label(solutions, start, ""), solutions, 0.0, np.zeros(6))
+        label = _label(solutions, start, "")
+        self.state = SessionState(start.pose, start, 0.0, np.zeros(6), label=label, solutions=solutions)
 
     def drag(self, target: RigidTransform) -> SessionState:
         """Move to a pose on the branch, or to the nearest reachable one."""
@@ -218,12 +242,6 @@ class ViewerModel:
         self.place(before.solutions[label])
         return self.drag(before.target)
 
-    def load(self, wrench: npt.ArrayLike) -> SessionState:
-        """Apply a wrench (f, m) to the platform at o in {B} [N, N m]."""
-        load = real_array(wrench, "wrench", (6,), "(f, m) at o in {B} in N and N m")
-        self.state = replace(self.state, wrench=load)
-        return self.state
-
     def place(self, configuration: Configuration) -> SessionState:
         """Show a configuration."""
         return self._show(configuration.pose, configuration, jump=True)
@@ -234,10 +252,7 @@ class ViewerModel:
         return RigidTransform.from_components(coordinates[:3], turn)
 
     def pose_ranges(self, convention: str) -> FloatArray:
-        """Return the ends (6, 2) of the pose's sliders, from the sampled states whose poses are nearest.
-
-        x, y, z [m] and the angles [degrees], those around the pose's own.
-        """
+        """Return the ends (6, 2) [m, degrees] of the pose's sliders, those of the nearest sampled states."""
         shown = self.state.shown
         poses, tree = _sampled_poses(shown.machine)
         now = pose_coordinates(shown.pose, convention)
@@ -263,12 +278,11 @@ class ViewerModel:
 
     def values(self) -> FloatArray:
         """Return q of the state shown, in Pinocchio's order [rad, m]."""
-        assert self.chain is not None
-        return self.chain.joint_values(self.state.shown)
+        values = joint_values(self.state.shown)
+        return np.array([values[joint] for joint in self.joints])
 
     def data(self) -> dict[str, Any]:
         """Return the state shown as data for JSON, in metres, radians and newtons."""
-        assert self.chain is not None
         state, shown, kind = self.state, self.state.shown, self.state.singularities
         numbers = {name: getattr(kind, name) for name in ("sigma", "condition", "scaled_determinants")}
         numbers["leg_travel"] = state.travel
@@ -284,7 +298,7 @@ class ViewerModel:
             "readings": dict(zip(LEGS, shown.readings, strict=True)),
             "middle_joints": shown.middle_joints,
             "closure_residual": shown.closure_residual,
-            "q": dict(zip(self.chain.joint_names, self.values(), strict=True)),
+            "q": dict(zip(self.joints, self.values(), strict=True)),
             "physical": state.is_physical,
             "singularity": {
                 "kind": str(SingularityKind(int(kind.kind))),
@@ -311,7 +325,8 @@ class ViewerModel:
         before = self.state
         label = _label(solutions, shown, before.label)
         origin = None if jump else (before.label, before.singularities.scaled_determinants)
-        self.state = SessionState(target, shown, label, solutions, distance, before.wrench, tuple(remarks), origin)
+        given = target, shown, distance, before.wrench, tuple(remarks)
+        self.state = SessionState(*given, label=label, solutions=solutions, origin=origin)
         return self.state
 
 

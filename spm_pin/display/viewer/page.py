@@ -29,12 +29,12 @@ from spm_pin.kinematics import inverse_physical
 from spm_pin.kinematics.forward_displacement import starting_configuration
 from spm_pin.machine import Configuration, Manipulator, Stage, StageConfiguration
 from spm_pin.machine.configuration import check_configuration
-from spm_pin.multibody.chain import ClosedChain
 from spm_pin.support.arguments import Progress
 from spm_pin.workspace import home_height
 
 _log = logging.getLogger(__name__)
 
+_CLOSED = 1e-9  # largest closure residual of the start over the side of the triangle of balls
 _TRIES = 100
 _MOTIONS = ("gizmo", "coordinate", "leg", "branch", "reset", "back", "time")  # events that stop a path being played
 _PHONE_ASPECT = 0.9  # a picture narrower than this fraction of its height is a phone's
@@ -90,18 +90,19 @@ class Viewer:
             if recording is not None:
                 raise ArgumentError("recording", "no recording with a stage", recording)
             self.start = _stage_start(start)
-            visual_parts(self.start.stage)  # raises an error for a stage that the description cannot express
             self.new_model = partial(StageModel, self.start, machine_file)
         else:
             if start is None or isinstance(start, Manipulator):
                 self.start = starting_configuration(start or Manipulator.paper())
             else:
                 self.start = check_configuration(start, "start", single=True, existing=True)
-            chain = ClosedChain.from_urdf(machine=self.start.machine)
-            chain.joint_values(self.start)  # raises an error if its loops do not close
-            self.new_model = partial(ViewerModel, self.start, chain, machine_file)
+            self.new_model = partial(ViewerModel, self.start, machine_file)
             if (not isinstance(start, Configuration) if demo is None else demo) and recording is None:
                 self.demo = demo_motion(self.start)
+        gap = float(self.start.closure_residual)
+        if not gap <= _CLOSED * self.start.machine.ball_side:
+            raise ArgumentError("start", "a closed mechanism", f"a closure residual of {gap:.1e} m", "Rounded numbers?")
+        visual_parts(self.start.machine)  # raises an error for a machine that the description cannot express
         progress("page", 1, 2)
         self.dark = dark
         self._sessions: dict[int, Session] = {}

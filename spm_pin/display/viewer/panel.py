@@ -1,15 +1,16 @@
-"""The control panel of a page: its widgets, their events, and the state as HTML, never by colour alone."""
+"""The control panel of a page: its widgets, their events, and the state as HTML, by `templates/panel.html`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Coroutine, Sequence
-from html import escape
+from collections.abc import Callable, Coroutine, Iterator, Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
+from jinja2 import Environment, PackageLoader
 
 from spm_pin.display.viewer.model import SessionState, ViewerModel, reading_units
-from spm_pin.display.viewer.robot_scene import LOAD, VIEWS, WARN, Colour
+from spm_pin.display.viewer.robot_scene import LOAD, VIEWS, WARN
 from spm_pin.display.viewer.stage_model import StageModel, StageState
 from spm_pin.display.writing import fixed
 
@@ -30,12 +31,7 @@ _OF_ROBOTS = {"ghosts", "forces", "shell", "points"}
 _NONE = "–"
 # viser derives the colour of its buttons from these: light ones on a dark page, and white text on both.
 _BRAND = {False: (0, 54, 84), True: (0, 114, 178)}
-_CALM, _GREY, _STAGES = (0, 158, 115), (128, 128, 128), ((0, 114, 178), (230, 159, 0))
-_BOX = "padding:0.35em 1em 0.35em 0.6em;font-size:0.8rem;line-height:1.4;font-variant-numeric:tabular-nums"
-# One grid for all rows: a column is as wide as its widest text, and the bars take the rest.
-_GRID = "display:grid;grid-template-columns:{columns};gap:0.15em 0.6em;align-items:center;white-space:nowrap"
-_TRACK = "position:relative;height:0.62em;border-radius:0.3em;background:rgba(128,128,128,0.28);overflow:hidden"
-_RIGHT = "text-align:right"
+_GREY, _STAGES = (128, 128, 128), ((0, 114, 178), (230, 159, 0))
 
 Report = Callable[[str, Any], Coroutine[Any, Any, None]]
 
@@ -132,11 +128,7 @@ class Panel:
         return [self._add("slider", event, labels[k], 0.0, 1.0, steps[k], 0.0, key=k) for k in range(len(labels))]
 
     def show(self, state: State, moved: tuple[str, int]) -> None:
-        """Show a state.
-
-        The slider that the user moves, "coordinate" or "leg" with its number, is not changed; neither are the values
-        of the others of its kind.
-        """
+        """Show a state; the slider that the user moves, its kind and number, and values of its kind stay."""
         self.status.content = status(state, self.angles)
         self.instruments.content = instruments(state)
         self.forces.content = forces_table(state)
@@ -185,51 +177,37 @@ def status(state: State, convention: str = "X-Y-X") -> str:
     tags = ["physical" if state.is_physical else "not physical"]
     if state.shown.machine.limits is not None:
         tags.append("within limits" if not state.shown.limit_excess.any() else "beyond limits")
-    title = f'<b data-spm="branch">{escape(state.title)}</b> &nbsp;{escape(", ".join(tags))}'
-    lines = [
-        f'<div style="font-size:0.95rem">{title}</div>',
-        f'<div data-spm="pose" style="opacity:0.75">{state.pose_text(convention)}</div>',
-    ]
-    for kind, sign, colour, texts in (("warning", "⚠", WARN, state.warnings), ("info", "ℹ", _GREY, state.notes)):
-        style = f"border-left:3px solid rgb{colour};padding:0.1em 0 0.1em 0.5em;margin-top:0.3em"
-        lines += [f'<div data-spm="{kind}" style="{style}">{sign} {escape(text)}</div>' for text in texts]
-    return f'<div style="{_BOX}">{"".join(lines)}</div>'
+    notices = ("warning", "⚠", WARN, state.warnings), ("info", "ℹ", _GREY, state.notes)
+    return str(_html().status(state.title, tags, state.pose_text(convention), notices))
 
 
 def instruments(state: State) -> str:
     """Return the legs against their limits, and the distances from singularities."""
-    return f'<div style="{_BOX}">{_legs(state)}{_singularities(state)}</div>'
+    legs, units = state.shown.machine.legs, reading_units(state.shown.machine)
+    name = "Leg lengths" if legs.are_rps and not legs.offsets.any() else "Encoder readings"
+    unit = f"in {' and '.join(dict.fromkeys(unit.name for unit in units))}"
+    unit += ", between limits" * bool(state.shown.machine.limits)
+    return str(_html().instruments(name, unit, WARN, _legs(state), state.measures))
 
 
 def note(*lines: str) -> str:
     """Return lines of plain text."""
-    return f'<div data-spm="note" style="{_BOX}">{"<br>".join(map(escape, lines))}</div>'
+    return str(_html().note(lines))
 
 
-def _grid(columns: str, cells: list[str]) -> str:
-    return f'<div style="{_GRID.format(columns=columns)}">{"".join(cells)}</div>'
+@cache
+def _html() -> Any:
+    """Return the macros of the template."""
+    loader = PackageLoader("spm_pin.display.viewer")
+    return Environment(loader=loader, autoescape=True).get_template("panel.html").module
 
 
-def _cell(text: str, style: str = "", name: str = "") -> str:
-    tag = f' data-spm="{name}"' if name else ""
-    return f'<span{tag} style="{style}">{text}</span>'
-
-
-def _bar(share: float, colour: Colour, ticks: tuple[float, ...] = (), side: str = "left", start: float = 0.0) -> str:
-    """Return a track with a bar for a fraction of it, from its start on one side, and ticks at fractions."""
-    marks = "".join(
-        f'<div style="position:absolute;top:0;bottom:0;left:{100.0 * x:.1f}%;width:2px;background:currentColor"></div>'
-        for x in ticks
-    )
-    filled = f"position:absolute;top:0;bottom:0;{side}:{100.0 * start:.1f}%;width:{100.0 * share:.1f}%"
-    return f'<div style="{_TRACK}"><div style="{filled};background:rgb{colour};opacity:0.85"></div>{marks}</div>'
-
-
-def _legs(state: State) -> str:
-    machine, readings, cells = state.shown.machine, state.shown.readings, []
-    legs, units, limits = machine.legs, reading_units(machine), machine.limits
+def _legs(state: State) -> Iterator[tuple[Any, ...]]:
+    """Yield each leg's name, the share and colour of its bar, ticks, reading, and by how much it is beyond a limit."""
+    machine, readings = state.shown.machine, state.shown.readings
+    limits = machine.limits
     for k, (leg, reading, excess, unit) in enumerate(
-        zip(legs.names, readings, state.shown.limit_excess, units, strict=True)
+        zip(machine.legs.names, readings, state.shown.limit_excess, reading_units(machine), strict=True)
     ):
         # The track is the allowed range with a tenth on either side, so that a leg beyond it is visible.
         low, high = (limits.minimum[k], limits.maximum[k]) if limits is not None else (0.0, np.inf)
@@ -237,48 +215,21 @@ def _legs(state: State) -> str:
         if not np.isfinite([low, high]).all():
             low, high = 0.0, 1.25 * float(np.abs(readings[3 * (k // 3) : 3 * (k // 3) + 3]).max())
         share = float(np.clip(0.1 + 0.8 * (reading - low) / max(high - low, 1e-12), 0.0, 1.0))
-        colour = WARN if excess else _STAGES[k // 3]
         digits = 1 if unit.name == "°" else 0
         mark = f"⚠ {'+' if excess > 0.0 else '−'}{unit.difference(abs(excess), digits)}" if excess else ""
-        value = _cell(unit.text(reading), _RIGHT, leg)
-        cells += [_cell(leg), _bar(share, colour, ticks), value, _cell(mark, f"color:rgb{WARN};font-weight:600")]
-    name = "Leg lengths" if legs.are_rps and not legs.offsets.any() else "Encoder readings"
-    heading = f"in {' and '.join(dict.fromkeys(unit.name for unit in units))}{', between limits' if limits else ''}"
-    return f"<div><b>{name}</b> {heading}</div>" + _grid("max-content minmax(3em,1fr) max-content max-content", cells)
-
-
-def _singularities(state: State) -> str:
-    measures = state.measures
-    has_travel = any(measure.away for measure in measures)
-    texts = ("", "", "away", "σ", "cond") if has_travel else ("", "", "", "σ", "")
-    cells = [_cell(text, f"opacity:0.7;{_RIGHT}") for text in texts]
-    for name, is_near, share, away, sigma, condition in measures:
-        large = "" if condition is None else f"{condition:.3g}" if condition < 1e5 else "&gt;10⁵"
-        cells += [
-            _cell(f"{'⚠ ' if is_near else ''}{name}"),
-            _bar(max(share, 0.02), WARN if is_near else _CALM),
-            _cell(away, _RIGHT),
-            _cell(fixed(sigma, 3), _RIGHT),
-            _cell(large, _RIGHT),
-        ]
-    heading = f'<div style="margin-top:0.4em"><b>Singularities</b>{", in leg travel" * has_travel}</div>'
-    return heading + _grid("max-content minmax(2em,1fr) max-content max-content max-content", cells)
+        yield leg, share, WARN if excess else _STAGES[k // 3], ticks, unit.text(reading), mark
 
 
 def forces_table(state: State) -> str:
     """Return the leg forces that hold the load, as bars from the middle."""
-    forces = state.forces
+    forces, machine_legs = state.forces, state.shown.machine.legs
     if forces is None:
         return note("⚠ The legs cannot hold every load here.")
-    largest = float(np.abs(forces).max())
-    cells = []
-    for leg, force in zip(state.shown.machine.legs.names, forces, strict=True):
+    largest, legs = float(np.abs(forces).max()), []
+    for leg, force in zip(machine_legs.names, forces, strict=True):
         share = 0.5 * abs(force) / largest if largest > 0.0 else 0.0
-        pushes = force >= 0.0
-        bar = _bar(share, LOAD, side="left" if pushes else "right", start=0.5)
-        sign = "" if abs(force) < 5e-4 else ("▲" if pushes else "▼")
+        side, sign = ("left", "▲") if force >= 0.0 else ("right", "▼")
         shown = fixed(force, 1) if abs(force) < 1e6 else f"{force:.3g}"
-        cells += [_cell(leg), bar, _cell(shown, _RIGHT, f"force {leg}"), _cell(sign)]
-    efforts = " and ".join(dict.fromkeys(kind.effort_unit for kind in state.shown.machine.legs.kinds))
-    heading = f"<div><b>Leg forces</b> in {efforts}: ▲ pushes, ▼ pulls</div>"
-    return f'<div style="{_BOX}">{heading}{_grid("max-content minmax(3em,1fr) max-content 1em", cells)}</div>'
+        legs.append((leg, share, side, shown, sign if abs(force) >= 5e-4 else ""))
+    efforts = " and ".join(dict.fromkeys(kind.effort_unit for kind in machine_legs.kinds))
+    return str(_html().forces(efforts, LOAD, legs))

@@ -37,7 +37,6 @@ _SOLID = {"side": "double", "cast_shadow": False, "receive_shadow": False}
 _NOT_TURNED = np.array([1.0, 0.0, 0.0, 0.0], np.float32)
 _GHOST_OPACITY = 0.16
 _PATH, _TRAIL, _WORKSPACE, _FORCES = (204, 121, 167), (140, 70, 110), (86, 180, 233), (0, 158, 115)
-_HELD = 1.0
 _TRAIL_POINTS = 300
 _TRAIL_STEP = 2e-3  # of the base radius
 _SHELL_RESOLUTION = 14  # coarse enough to be sent to a page
@@ -238,7 +237,7 @@ class RobotScene:
         self._trail.visible = self.layers["trail"] and len(points) > 1
 
     def _show_held_forces(self, state: Configuration) -> None:
-        """Show the forces at o allowed by equal limits of leg forces, `_HELD` of the robot's size for each limit."""
+        """Show the forces at o allowed by equal limits of leg forces: the robot's size stands for one limit."""
         shown = self.layers["forces"]
         if not shown and not self._has_forces:
             return
@@ -250,7 +249,7 @@ class RobotScene:
         if section is None:
             self.scene.remove_by_name("/forces")
             return
-        points = np.float32(state.translation + _HELD * self.size * section.vertices)
+        points = np.float32(state.translation + self.size * section.vertices)
         options = {"opacity": 0.45, "flat_shading": True, **_SOLID}
         self.scene.add_mesh_simple("/forces", points, np.uint32(section.faces), color=_FORCES, **options)
 
@@ -290,11 +289,8 @@ def _free_place(joints: FloatArray, others: list[FloatArray]) -> FloatArray:
 
 def _beside_legs(state: Configuration | StageConfiguration, distance: float) -> FloatArray:
     """Return points (legs, 3) beside the middles of the legs, away from the axis of their stage."""
-    platforms = [state.translation]
-    if isinstance(state, Configuration):
-        platforms.insert(0, state.middle_pose.translation)
-    ends = np.array([np.zeros(3), *platforms])
-    centres = (0.5 * (ends[:-1] + ends[1:])).repeat(3, axis=0)
+    ends = np.array([np.zeros(3), state.middle_pose.translation, state.translation])
+    centres = (0.5 * (ends[:-1] + ends[1:])).repeat(3, axis=0)[: len(state.balls)]
     middles = 0.5 * (state.leg_bases + state.balls)
     return np.asarray(middles + distance * _unit(middles - centres))
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, ClassVar
@@ -14,16 +13,22 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from spm_pin.display.viewer.model import Measure, excess_warnings, ranges_of_readings, readings_remarks
+from spm_pin.display.viewer.model import (
+    Measure,
+    Model,
+    ShownState,
+    excess_warnings,
+    ranges_of_readings,
+    readings_remarks,
+)
 from spm_pin.display.writing import fixed
-from spm_pin.errors import SingularConfigurationError
-from spm_pin.kinematics import inverse_physical, leg_forces, singularities
+from spm_pin.kinematics import inverse_physical, singularities
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.path_following import existing_share
 from spm_pin.kinematics.readings import read_readings
 from spm_pin.kinematics.stage_displacement import normals_of_request
 from spm_pin.machine import Stage, StageConfiguration
-from spm_pin.support.arguments import FloatArray, real_array
+from spm_pin.support.arguments import FloatArray
 from spm_pin.workspace import height_range, nearest_reachable_pose, reach
 
 _NEAR = 0.1
@@ -32,18 +37,10 @@ _DIRECTIONS = 24
 """Number of directions of the largest tilt."""
 _ROLL, _TILT = "height, roll, pitch", "height, tilt, azimuth"
 """Conventions of the coordinates of the pose: names of properties of a state."""
-_NO_ANGLES = dict.fromkeys(("tilt", "azimuth", "roll", "pitch"))
 
 
-@dataclass(frozen=True)
-class StageState:
-    """The configuration shown, the requested pose and the load, as `SessionState` for a manipulator."""
-
-    target: RigidTransform  # the requested pose of the platform in {B}; that of `shown` if legs were moved
-    shown: StageConfiguration
-    distance: float  # root mean square distance of the balls from their requested positions [m]; 0 if reached
-    wrench: FloatArray  # the load (f, m) on the platform at its origin in {B}, shape (6,) [N, N m]
-    remarks: tuple[str, ...] = ()
+class StageState(ShownState):
+    """A state of a stage alone."""
 
     label: ClassVar[str] = ""
     labels: ClassVar[tuple[str, ...]] = ()
@@ -58,14 +55,6 @@ class StageState:
         sigmas = {"forward": found.forward, "inverse": found.inverse, "leg's own": found.leg.min()}
         rows = [(name, float(sigma)) for name, sigma in sigmas.items()]
         return [Measure(name, sigma < _NEAR, min(sigma, 1.0), "", sigma, None) for name, sigma in rows]
-
-    @cached_property
-    def forces(self) -> FloatArray | None:
-        """Efforts of the actuators (3,); None if they cannot hold every load."""
-        try:
-            return leg_forces(self.shown, self.wrench)
-        except SingularConfigurationError:
-            return None
 
     @cached_property
     def warnings(self) -> list[str]:
@@ -83,8 +72,10 @@ class StageState:
         return f"height {fixed(height, 1)} mm, {wanted}; shift ({shift}) mm, torsion {torsion}°"
 
 
-class StageModel:
-    """A session's state and its transitions, from a physical configuration, as `ViewerModel` for a manipulator."""
+class StageModel(Model):
+    """A stage's state and its transitions, from a physical configuration."""
+
+    state: StageState
 
     conventions: ClassVar[dict[str, tuple[str, ...]]] = {
         _ROLL: ("height [mm]", "roll [°]", "pitch [°]"),
@@ -94,7 +85,8 @@ class StageModel:
     values_name = "Readings"
 
     def __init__(self, start: StageConfiguration, file: Path | None = None) -> None:
-        self.hold_limits, self.file, self._stage = True, file, start.stage
+        super().__init__(file)
+        self._stage = start.stage
         self.state = StageState(start.pose, start, 0.0, np.zeros(6))
 
     def drag(self, target: RigidTransform) -> StageState:
@@ -127,12 +119,6 @@ class StageModel:
             shown = solve(before + share * (wanted - before)) if share else self.state.shown
         return self._show(shown, remarks=readings_remarks(share))
 
-    def load(self, wrench: npt.ArrayLike) -> StageState:
-        """Apply a wrench (f, m) to the platform at its origin in {B} [N, N m]."""
-        load = real_array(wrench, "wrench", (6,), "(f, m) at the platform's origin in {B} in N and N m")
-        self.state = replace(self.state, wrench=load)
-        return self.state
-
     def place(self, configuration: StageConfiguration) -> StageState:
         """Show a configuration."""
         return self._show(configuration)
@@ -155,7 +141,7 @@ class StageModel:
     def pose_of(self, coordinates: FloatArray, convention: str) -> RigidTransform:
         """Return a pose with the normal and the height of such values."""
         angles = dict(zip(convention.split(", ")[1:], np.radians(coordinates[1:]), strict=True))
-        turn, _ = Rotation.align_vectors(normals_of_request(**(_NO_ANGLES | angles), normal=None), [0.0, 0.0, 1.0])
+        turn, _ = Rotation.align_vectors(normals_of_request(**angles), [0.0, 0.0, 1.0])
         return RigidTransform.from_components([0.0, 0.0, 1e-3 * coordinates[0]], turn)
 
     def pose_ranges(self, convention: str) -> FloatArray:
@@ -188,7 +174,7 @@ class StageModel:
 
     def values(self) -> FloatArray:
         """Return the readings of the state shown [m], for RRS legs [rad]."""
-        return self.state.shown.readings
+        return np.asarray(self.state.shown.readings)
 
     def data(self) -> dict[str, Any]:
         """Return the state shown as data for JSON, in metres, radians and newtons."""

@@ -7,7 +7,7 @@ import pytest
 from error_fields import with_fields
 
 import spm_pin as spm
-from spm_pin.crosscheck import MisprintedEquation, Reproduction, Verdict, reproduce
+from spm_pin.crosscheck import Reproduction, Verdict, reproduce
 from spm_pin.crosscheck.paper import published, resultant
 from spm_pin.crosscheck.paper_tables import matches
 
@@ -34,7 +34,7 @@ def test_resultant_and_closed_form_find_the_same_eight_solutions(found: Reproduc
 
 
 def test_equation_17_as_printed_has_no_real_root(found: Reproduction) -> None:
-    assert found.equation_17 == MisprintedEquation(printed=0, mended=6, true=6)
+    assert found.equation_17 == {"printed": 0, "mended": 6, "true": 6}
     lines = resultant.Resultant.from_pose(spm.Manipulator.paper(), EXAMPLE)
     true = spm.inverse_displacement(spm.Manipulator.paper(), EXAMPLE).middle_joints[:, 1, 1]
     true = true[np.isfinite(true)]
