@@ -3,7 +3,6 @@ from __future__ import annotations
 import gc
 import signal
 from collections.abc import Generator
-from importlib.util import find_spec
 
 import pytest
 from hypothesis import settings
@@ -11,9 +10,6 @@ from hypothesis import settings
 # Examples vary in cost with what else the machine does; a deadline would measure that.
 settings.register_profile("no deadline", deadline=None)
 settings.load_profile("no deadline")
-
-# PyTorch belongs to no extra, as its wheels for x86 need gigabytes of CUDA: where it is not, its tests do not exist.
-collect_ignore = [] if find_spec("torch") else ["arrays/test_torch.py"]
 
 # Under nohup and in background jobs of a shell, Ctrl-C arrives ignored, and children of tests would inherit that.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
