@@ -11,7 +11,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt
 
-.PHONY: demo test test-docs test-slow coverage bench lint docs figures description clean
+.PHONY: demo test test-docs test-slow coverage bench kernels lint docs figures description clean
 
 demo: $(VENV)/.demo
 	@mkdir -p build
@@ -20,7 +20,9 @@ demo: $(VENV)/.demo
 # A worker has one core: threads of OpenBLAS beside those of the others would wait for one another.
 test test-docs test-slow coverage: export OPENBLAS_NUM_THREADS := 1
 
-test: lint
+# mypy has one core to itself; the other one compiles the kernels that both workers would compile at their beginning.
+test: $(VENV)/.test
+	@$(MAKE) --no-print-directory --jobs=2 lint kernels
 	$(BIN)/python -m pytest $(PYTEST) -m "not slow and not documents"
 	@echo "Not run here: pages, examples and benchmarks (make test-docs), sweeps and long comparisons (make test-slow)"
 
@@ -37,6 +39,11 @@ test-slow: $(VENV)/.test
 
 bench: $(VENV)/.bench
 	$(BIN)/python benchmarks/run.py $(BENCH)
+
+kernels: $(VENV)/.test
+	@$(BIN)/python -c "from spm_pin.kinematics.kernels import calibrated_kernels, circle_modes; \
+	[kernel.compile() for kernel in (calibrated_kernels.calibrated_branches, circle_modes.modes_of_stages, \
+	calibrated_kernels.calibrated_physical_branch)]"
 
 lint: $(VENV)/.test
 	$(BIN)/ruff check .
