@@ -422,13 +422,21 @@ CASES = [
 
 
 SLOW = ("Boundary", "Shell", "largest_certified_limits", "orientation_workspace", "reachable_boundary")
-SLOW += ("reachable_position", "reachable_volume", "sample_reachable", "crosscheck.workspace_shell")
+SLOW += (
+    "best_height",
+    "reach",
+    "reachable_position",
+    "reachable_volume",
+    "sample_reachable",
+    "crosscheck.workspace_shell",
+)
 SLOW += (
     "description.mjcf_text",
     "description.sdf_text",
     "export.linuxcnc_configuration",
     "export.write_linuxcnc",
     "export.ros_package",
+    "export.c_sources",
     "export.write_c",
     "export.write_ros",
 )

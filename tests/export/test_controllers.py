@@ -43,7 +43,7 @@ def run_cpp(package: Path, source: Path, folder: Path, *arguments: object, names
     sources, kinematics = package / "src", package.parent / "kinematics.o"
     if not kinematics.exists():
         (source_in_c,) = sources.glob("*_kinematics.c")
-        compile_c(compilers()[0], *STRICT, "-O2", "-c", source_in_c, "-o", kinematics)
+        compile_c(compilers()[0], *STRICT, "-O1", "-c", source_in_c, "-o", kinematics)
     include = (
         *(f"-D{name}={other}" for name, other in (names or {}).items()),
         "-I",
@@ -51,7 +51,7 @@ def run_cpp(package: Path, source: Path, folder: Path, *arguments: object, names
         "-I",
         STAND_INS / "ros2_control",
     )
-    flags = ("-std=c++17", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O2")
+    flags = ("-std=c++17", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O1")
     compile_c(compiler, *flags, *include, source, kinematics, "-lm", "-o", folder / "program")
     done = subprocess.run([folder / "program", *map(str, arguments)], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout
