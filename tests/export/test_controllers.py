@@ -51,7 +51,7 @@ def run_cpp(package: Path, source: Path, folder: Path, *arguments: object, names
         "-I",
         STAND_INS / "ros2_control",
     )
-    flags = ("-std=c++17", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O1")
+    flags = ("-std=c++17", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O2")
     compile_c(compiler, *flags, *include, source, kinematics, "-lm", "-o", folder / "program")
     done = subprocess.run([folder / "program", *map(str, arguments)], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout
