@@ -4,7 +4,6 @@ import gc
 import os
 import signal
 from collections.abc import Generator
-from importlib.util import find_spec
 
 import pytest
 from hypothesis import settings
@@ -15,8 +14,6 @@ settings.register_profile("repeatable", deadline=None, derandomize=True)
 settings.register_profile("search", deadline=None, max_examples=1000)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
-# PyTorch belongs to no extra, as its wheels for x86 need gigabytes of CUDA: where it is not, its tests do not exist.
-collect_ignore = [] if find_spec("torch") else ["arrays/test_torch.py"]
 
 # Under nohup and in background jobs of a shell, Ctrl-C arrives ignored, and children of tests would inherit that.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

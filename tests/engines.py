@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.description import URDF_PATH, actuated_joints
+from spm_pin.description import URDF_PATH
 from spm_pin.description.robot import read_robot
 from spm_pin.description.source_files import read_closures
 from spm_pin.machine import Machine
@@ -106,7 +106,7 @@ class Pinocchio:
 
 
 class Mujoco:
-    """A URDF gets the loops that it does not name, and on request locks of the slides, made for time steps of `step`.
+    """A URDF gets the loops that it does not name, made for time steps of `step`.
 
     Its collisions and joint limits are off: they are not what is compared.
     """
@@ -118,7 +118,6 @@ class Mujoco:
         *,
         step: float = 1e-3,
         integrator: str = "mjINT_EULER",
-        locked: bool = False,
         machine: Machine | None = None,
     ) -> None:
         import mujoco
@@ -128,12 +127,8 @@ class Mujoco:
         closures = read_closures(machine)
         if path.suffix == ".urdf":
             connect, body = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtObj.mjOBJ_BODY
-            added = [(connect, body, closure.frame_a, closure.frame_b) for closure in closures]
-            added += [
-                (mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtObj.mjOBJ_JOINT, name, "") for name in actuated_joints() if locked
-            ]
-            for kind, of, first, second in added:
-                equality = spec.add_equality(type=kind, objtype=of, name1=first, name2=second)
+            for closure in closures:
+                equality = spec.add_equality(type=connect, objtype=body, name1=closure.frame_a, name2=closure.frame_b)
                 equality.data = np.zeros_like(equality.data)
                 # As stiff as MuJoCo lets it be: time constant of two steps, critically damped, largest impedance.
                 equality.solref = [2.0 * step, 1.0]
@@ -192,10 +187,6 @@ class Mujoco:
                 self.mujoco.mj_jacDot(model, data, rate[end], None, data.xpos[body], body)
         jacobian, change = ((each[:, 1] - each[:, 0]).reshape(-1, model.nv) for each in (rows, rates))
         return self._mass_matrix()[np.ix_(k, k)], data.qfrc_bias[k].copy(), jacobian[:, k], change @ data.qvel
-
-    def hold(self, slides: Array) -> None:
-        """Lock the slides, made with `locked`, at these values."""
-        self.model.eq_data[len(self.pairs) :, 0] = slides
 
     def run(self, q: Array, v: Array, forces: Forces, until: float, legs: Array) -> Array:
         """MuJoCo's own steps from q and v; returns the q they end at."""

@@ -20,8 +20,6 @@ KINDS_OF_STAGES = {
 }
 PAIRS = [("RPS", "RPS"), ("RPS", "PRS"), ("PRS", "RRS"), ("RRS", "PRS hanging"), ("PRS hanging", "RPS")]
 """Each of them once below and once above another, and twice the same."""
-EACH_KIND = [("RPS", "PRS"), ("PRS", "RRS"), ("RRS", "RPS")]
-"""Each kind once below and once above."""
 SERVOS = Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35), limits=(-0.5, 1.5))
 SCREWS = Stage(0.20, 0.25, PRS(rod=0.30), limits=(-0.05, 0.25))
 SERVOS_AND_SCREWS = spm.Manipulator.of_stages(SERVOS, SCREWS)

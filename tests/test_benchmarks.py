@@ -21,7 +21,6 @@ from benchmarks.peers.compiled import compiler_version
 from benchmarks.peers.lines import coordinates
 from benchmarks.peers.peer import Peer, Prepared
 from benchmarks.poses import KINDS, MACHINE, as_built, leg_space, mixture
-from benchmarks.sections.states import _BALANCER, balls_by_scipy
 from benchmarks.sections.velocity import states
 
 pytestmark = pytest.mark.documents
@@ -164,28 +163,6 @@ def test_plain_pinocchio_has_the_dynamics_of_the_chain() -> None:
         np.testing.assert_allclose(plain.forward(q, v, forces), a, atol=1e-8)
 
 
-def test_metrics_by_numpy_are_those_of_sweeps() -> None:
-    pytest.importorskip("xarray")
-    from benchmarks.sections.jobs import METRICS, box, metrics_by_numpy
-
-    drawn = np.random.default_rng(0).uniform(*np.transpose(box()), (500, 6))
-    poses = spm.pose(drawn[:, :3], xyx=drawn[:, 3:])
-    points = spm.sweeps.Points(MACHINE, "pose", drawn)
-    found = metrics_by_numpy(poses)
-    assert found[0].any()
-    for name, values in zip(METRICS, found, strict=True):
-        np.testing.assert_allclose(values, spm.sweeps.METRICS[name].evaluate(points), rtol=1e-9, err_msg=name)
-
-
-def test_singular_values_by_numpy_are_those_of_the_package() -> None:
-    from benchmarks.sections.states import by_numpy
-
-    configuration = states(6)
-    forward, inverse = by_numpy(configuration)
-    smallest = np.concatenate([forward[..., -1], inverse[..., -1]], axis=-1)
-    np.testing.assert_allclose(spm.singularities(configuration).sigma, smallest, atol=1e-14)
-
-
 LENGTHS = np.random.default_rng(1).uniform(1.1, 1.5, (3, 6))
 
 
@@ -229,25 +206,6 @@ def test_script_runs_one_part_and_writes_only_the_given_file(tmp_path: Path) -> 
         assert f"| {peer.name} | {peer.computes} |" in text
     assert "missing" not in text
     assert (results.read_bytes() if results.exists() else None) == before
-
-
-def test_pycapacity_is_given_the_same_polytopes() -> None:
-    pytest.importorskip("pycapacity")
-    from benchmarks.sections import capability
-
-    states = spm.forward_physical(MACHINE, np.random.default_rng(0).uniform(1.15, 1.45, (3, 6)))
-    held = spm.capability.wrench_polytope(states, capability.LIMIT)
-    jacobians, inverses = spm.inverse_jacobian(states), spm.kinematics.platform_jacobian(states)
-    balls = [capability.facets_by_pycapacity(jacobian) for jacobian in jacobians]
-    np.testing.assert_allclose(held.ball(), balls, rtol=1e-9)
-    for vertices, inverse in zip(held.vertices, inverses, strict=True):
-        found = capability.vertices_by_pycapacity(inverse).T
-        np.testing.assert_allclose(found.max(axis=0), vertices.max(axis=0), rtol=1e-9)
-
-
-def test_scipy_finds_the_balls_of_the_balancer() -> None:
-    states = spm.inverse_physical(_BALANCER, np.linspace(0.11, 0.13, 5), tilt=0.2, azimuth=0.3)
-    np.testing.assert_allclose(balls_by_scipy(states.readings), states.balls, atol=1e-10)
 
 
 def test_forward_solutions_and_dynamics_of_any_closed_chain_are_those_of_scipy_and_pinocchio() -> None:

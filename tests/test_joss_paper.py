@@ -15,7 +15,7 @@ from spm_pin.crosscheck import Verdict, reproduce
 pytestmark = pytest.mark.documents
 
 ROOT = Path(__file__).parents[1]
-_, HEADER, TEXT = (ROOT / "paper/paper.md").read_text(encoding="utf-8").split("---\n", 2)
+_, _, TEXT = (ROOT / "paper/paper.md").read_text(encoding="utf-8").split("---\n", 2)
 WORDS = " ".join(TEXT.split())
 
 

@@ -183,7 +183,6 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "Stage.platform_radius": lambda: 0.09,
     "Stage.to_yaml.path": lambda: "stage.yaml",
     "Stage.from_yaml.path": stage_file,
-    **{f"StageLimits.{name}.readings": lambda: STAGE_STATE.readings for name in ("contains", "excess", "margin")},
     **dict.fromkeys(("path", "PlatformPath.poses"), lambda: PATH),
     "branch": lambda: "TT+",
     "chain": lambda: chain(),
@@ -263,15 +262,9 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "MeasuredStage.values.readings": lambda: [0.1, 0.2, 0.3],
     "MeasuredStage.readings.values": lambda: [0.1, 0.2, 0.3],
     "loops.ClosedChain.from_description.description": lambda: spm.loops.read_mjcf(ROBOTS / "four_bar.xml"),
-    **{
-        f"loops.ClosedChain.{name}": lambda: closed()
-        for name in ("state.q", "mobility.q", "forward.near", "inverse.near")
-    },
+    **{f"loops.ClosedChain.{name}": lambda: closed() for name in ("state.q", "mobility.q", "forward.near")},
     "loops.ClosedChain.state.v": lambda: np.zeros(3),
     "loops.ClosedChain.forward.values": lambda: [0.1],
-    "loops.ClosedChain.inverse.frame": lambda: "crank",
-    "loops.ClosedChain.inverse.pose": lambda: np.eye(4),
-    "loops.ClosedChain.inverse.rows": lambda: (0,),
     "loops.ClosedChain.joint_of_velocity.index": lambda: 0,
     "Manipulator.base_radius": lambda: 0.7,
     "Manipulator.legs": lambda: (spm.RPS(), spm.RRS(crank=0.5, rod=0.5)),
@@ -335,7 +328,6 @@ INSTANCES: dict[str, Callable[[], Any]] = {
     "Masses": lambda: spm.description.Masses({"leg_*_rod": {"mass": 2.0}}),
     "MeasuredStage": lambda: spm.multibody.read_stage(tripod()),
     "MountedChain": mounted,
-    "PlatformPath": lambda: spm.PlatformPath([0.0, 1.0], PATH),
     "Polytope": lambda: spm.capability.wrench_polytope(STATE, 900.0),
     "Shell": shell,
     "Stage": lambda: STAGE,
@@ -419,13 +411,21 @@ CASES = [
 
 
 SLOW = ("Boundary", "Shell", "largest_certified_limits", "orientation_workspace", "reachable_boundary")
-SLOW += ("reachable_position", "reachable_volume", "sample_reachable", "crosscheck.workspace_shell")
+SLOW += (
+    "best_height",
+    "reach",
+    "reachable_position",
+    "reachable_volume",
+    "sample_reachable",
+    "crosscheck.workspace_shell",
+)
 SLOW += (
     "description.mjcf_text",
     "description.sdf_text",
     "export.linuxcnc_configuration",
     "export.write_linuxcnc",
     "export.ros_package",
+    "export.c_sources",
     "export.write_c",
     "export.write_ros",
 )

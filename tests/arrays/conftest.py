@@ -1,8 +1,11 @@
-"""JAX with double precision, for one test."""
+"""JAX with double precision, for one test, and compiled without optimisation, which takes longer than it saves here."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
+
+os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")  # before JAX is imported
 
 import jax
 import pytest

@@ -14,7 +14,7 @@ import spm_pin as spm
 from spm_pin.description import actuated_joints
 
 SLIDES = actuated_joints()
-LIMITS = ["--limits", "125", "135", "--unit", "cm"]
+LIMITS = ["--limits", "129", "131", "--unit", "cm"]
 
 
 def test_errors_of_the_machine_are_in_the_unit_and_in_radians() -> None:
@@ -69,20 +69,16 @@ def test_the_csv_has_the_motion_and_the_viewer_reads_it(tmp_path: Path) -> None:
 
 
 def test_states_are_passed_on_the_way_and_each_leg_has_its_limits() -> None:
-    via = ["130,140,120,130,130,130", "145,130,125,120,140,130"]
+    via = "130,140,120,130,130,130"
     limits = ["--limits", "110,110,110,110,110,110", "150,150,150,150,150,151"]
     limits += ["--clearance", "10", "--hip", "-60", "60"]
     forces = "1500,1500,1200,1500,1500,1500"
-    done = run(
-        "move", *ENDS, "--via", via[0], "--via", via[1], *limits, "--leg-force", forces, "--leg-jerk", "90", "--json"
-    )
+    done = run("move", *ENDS, "--via", via, *limits, "--leg-force", forces, "--leg-jerk", "90", "--json")
     assert done.returncode == 0, done.stderr
     content = json.loads(done.stdout)
     lengths = np.array([content[leg] for leg in spm.machine.LEGS]).T
-    for text in via:
-        state = np.array([float(part) for part in text.split(",")]) / 100.0
-        # To the length of a step.
-        assert np.abs(lengths - state).max(axis=-1).min() < 5e-3
+    state = np.array([float(part) for part in via.split(",")]) / 100.0
+    assert np.abs(lengths - state).max(axis=-1).min() < 5e-3  # to the length of a step
     used = np.abs([content[f"{slide}.effort"] for slide in SLIDES]).max(axis=-1)
     assert (used <= np.array([1500.0, 1500.0, 1200.0, 1500.0, 1500.0, 1500.0]) * (1.0 + 1e-6)).all()
     assert content["certified"] is True

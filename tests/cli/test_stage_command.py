@@ -157,10 +157,10 @@ def test_readings_typed_in_metres_are_named_where_they_were_read_in_millimetres(
 
 def test_limits_of_a_stage_are_proved(tmp_path: Path) -> None:
     picture = tmp_path / "boxes.png"
-    done = run("stage", "certify", *SIZES, "--limits", "15", "25", "--json", "--out", str(picture))
+    done = run("stage", "certify", *SIZES, "--limits", "18", "22", "--json", "--out", str(picture))
     content = json.loads(done.stdout)
     assert (done.returncode, content["holds"], list(content["bounds"])) == (0, True, ["J"])
-    stage = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), np.radians([15, 25]))
+    stage = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), np.radians([18, 22]))
     assert content["bounds"]["J"] == spm.certify(stage).bounds[0]
     assert picture.read_bytes()[:4] == b"\x89PNG"
     assert run("stage", "certify", *SIZES, "--limits", "-90", "170", "--boxes", "100").returncode == 1

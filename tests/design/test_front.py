@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import signal
+import subprocess
+import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from cli.running import run
+from cli.running import COMMAND, run
 from distributed import LocalCluster
 from error_fields import with_fields
 from kinds_of_legs import SERVOS_AND_SCREWS
@@ -173,12 +176,13 @@ def test_problems_that_are_none_are_refused(changes: dict[str, Any]) -> None:
     assert caught.value.argument.partition(".")[0].partition("[")[0] in changes
 
 
+SEARCH = ["--free", "platform_radius:0.25:0.6", "--free", "base_radius:0.5:0.9", "--population", "8", "--states", "64"]
+SEARCH += ["--maximise", "payload_low", "--minimise", "footprint", "--at-least", "assembled:1"]
+
+
 def test_the_command_searches_shows_and_writes_a_machine(tmp_path: Path) -> None:
     MACHINE.to_yaml(tmp_path / "start.yaml")
-    command = ["design", tmp_path / "front.json", "--machine", tmp_path / "start.yaml"]
-    command += ["--free", "platform_radius:0.25:0.6", "--free", "base_radius:0.5:0.9"]
-    command += ["--maximise", "payload_low", "--minimise", "footprint", "--at-least", "assembled:1"]
-    command += ["--population", "8", "--generations", "3", "--states", "64"]
+    command = ["design", tmp_path / "front.json", "--machine", tmp_path / "start.yaml", *SEARCH, "--generations", "3"]
     done = run(*command, "--choose", "0", "--out", tmp_path / "chosen.yaml")
     assert done.returncode == 0, done.stderr
     assert "began with" in done.stdout
@@ -191,6 +195,23 @@ def test_the_command_searches_shows_and_writes_a_machine(tmp_path: Path) -> None
     best = max(content["columns"]["payload_low"])
     assert content["columns"]["payload_low"][0] == best
     assert run(*command, "--choose", "99", "--out", tmp_path / "x.yaml").returncode == 2
+
+
+def test_ctrl_c_at_any_moment_leaves_a_file_from_which_the_search_goes_on(tmp_path: Path) -> None:
+    MACHINE.to_yaml(tmp_path / "start.yaml")
+    command = ["design", tmp_path / "front.json", "--machine", tmp_path / "start.yaml", *SEARCH]
+    with subprocess.Popen([*COMMAND, *command, "--generations", "5000"], stderr=subprocess.PIPE, text=True) as process:
+        while not (tmp_path / "front.json").exists() and process.poll() is None:
+            time.sleep(0.01)
+        time.sleep(np.random.default_rng(0).uniform(0.0, 0.2))
+        process.send_signal(signal.SIGINT)
+        errors = process.communicate(timeout=300)[1]
+    assert (process.returncode, "Traceback" in errors) == (130, False), errors
+    assert {path.name for path in tmp_path.iterdir()} == {"start.yaml", "front.json"}
+    count = len(json.loads((tmp_path / "front.json").read_text(encoding="utf-8"))["generations"])
+    assert 0 < count < 5000
+    done = run(*command, "--generations", count + 1)
+    assert (done.returncode, f"{8 * (count + 1)} machines evaluated" in done.stdout) == (0, True), done.output
 
 
 def test_a_task_has_the_margin_and_the_efforts_of_its_states() -> None:

@@ -229,22 +229,6 @@ def test_a_drag_out_of_reach_warns_and_shows_the_nearest(client):
     assert not session.scene._wanted.visible
 
 
-def test_legs_load_and_path_move_the_shown_robot(client):
-    page, session = client
-    session.panel.force.value = (0.0, 0.0, -500.0)
-    send(session, "load")
-    send(session, "leg", (0, 1.25))
-    assert session.model.state.shown.leg_lengths[0] == pytest.approx(1.25)
-    expected = spm.leg_forces(session.model.state.shown, [0, 0, -500, 0, 0, 0])
-    np.testing.assert_allclose(session.model.state.forces, expected)
-    assert session.scene._arrows["legs"].visible
-    send(session, "play")
-    until(lambda: session.player.time == 1.0 and not session.player.playing, "the end of the path", page=page)
-    until(lambda: abs(session.model.state.shown.leg_lengths[1] - 1.25) < 1e-9, "its last point", page=page)
-    shown = session.model.state.shown.translation
-    until(lambda: np.allclose(session.gizmo.position, shown, rtol=0.0, atol=1e-9), "the handle there too", page=page)
-
-
 def test_two_clients_at_once_and_one_that_goes(browser, viewer, client):
     page, session = client
     loop = viewer.server._event_loop

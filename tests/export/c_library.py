@@ -96,7 +96,7 @@ class CLibrary:
 
     @classmethod
     def build(cls, machine: spm.Manipulator, folder: Path, *flags: str) -> CLibrary:
-        """Export, compile and load; `flags` such as ``-O2``."""
+        """Export, compile and load; `flags` such as ``-O1``."""
         spm.export.write_c(machine, folder)
         loops = [_batch_of(f.name, [len(x) for x in f.arguments.values()], f.count) for f in state_functions(machine)]
         (folder / "batches.c").write_text(_BATCHES + "".join(loops), encoding="utf-8")

@@ -35,7 +35,7 @@ WRENCH = np.array([30.0, -20.0, -500.0, 4.0, -6.0, 8.0])
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory: pytest.TempPathFactory) -> CLibrary:
-    return CLibrary.build(PAPER, tmp_path_factory.mktemp("c"), "-O2")
+    return CLibrary.build(PAPER, tmp_path_factory.mktemp("c"), "-O1")
 
 
 @pytest.fixture(scope="module")
@@ -105,7 +105,7 @@ def test_legs_of_any_kind_are_computed_as_by_the_package(
 ) -> None:
     """One build for the nominal machine and for calibrated ones."""
     nominal, has_cylinders = machine_of_kinds(lower, upper), lower == upper == "RPS"
-    compiled = library if has_cylinders else CLibrary.build(nominal, tmp_path, "-O2")
+    compiled = library if has_cylinders else CLibrary.build(nominal, tmp_path, "-O1")
     for size in (0.0, 1e-5, 5e-3):
         machine = nominal.perturbed(5, length=size, angle=size) if size else nominal
         own, state = compiled.of(machine), states(machine, 250)

@@ -43,7 +43,7 @@ def run_cpp(package: Path, source: Path, folder: Path, *arguments: object, names
     sources, kinematics = package / "src", package.parent / "kinematics.o"
     if not kinematics.exists():
         (source_in_c,) = sources.glob("*_kinematics.c")
-        compile_c(compilers()[0], *STRICT, "-O2", "-c", source_in_c, "-o", kinematics)
+        compile_c(compilers()[0], *STRICT, "-O1", "-c", source_in_c, "-o", kinematics)
     include = (
         *(f"-D{name}={other}" for name, other in (names or {}).items()),
         "-I",

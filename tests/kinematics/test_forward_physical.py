@@ -7,7 +7,6 @@ import pytest
 from error_fields import with_fields
 from problems import MANIPULATORS, PAPER, as_built, distance, in_leg_space, random_branches
 from scipy.integrate import solve_ivp
-from stage_cases import cases
 
 import spm_pin as spm
 from spm_pin.kinematics.forward_displacement import forward_displacement, forward_physical
@@ -240,10 +239,3 @@ def test_invalid_seeds_and_readings_are_refused(machine: spm.Manipulator) -> Non
     if machine is not PAPER:
         with pytest.raises(spm.ArgumentError, check=with_fields(argument="readings")):
             forward_physical(machine, np.full(6, -1.0))
-
-
-def test_states_of_the_common_table() -> None:
-    for name, (machine, readings, *arrays) in cases().items():
-        state = forward_physical(machine, readings)
-        for found, expected in zip((state.rotation, state.translation, state.middle_joints), arrays, strict=True):
-            np.testing.assert_allclose(found, expected, atol=1e-13, err_msg=name)

@@ -58,16 +58,3 @@ def test_jacobians_and_forces_of_the_closed_form_in_every_family(name: str) -> N
         wrench = rng.normal(size=6) / scale
         error = np.linalg.norm(at.leg_forces(wrench) - spm.leg_forces(state, wrench))
         assert error <= rounding(robot, q, wrench, min(values.forward, conditions[0]))
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_the_tree_is_in_equilibrium(name: str) -> None:
-    """Legs, cut balls and the load leave no generalized force, and the Jacobian's transpose is how they act."""
-    robot, rng = chain(name), np.random.default_rng(113)
-    for _, q in placed(name, 10, seed=114):
-        wrench = rng.normal(size=6)
-        legs, cuts = robot.state(q).leg_forces(wrench), robot.state(q).cut_forces(wrench)
-        total = frame_jacobian(robot, q, "terminal_platform").T @ wrench + closure_jacobian(robot, q).T @ cuts.ravel()
-        total[robot.leg_indices] += legs
-        allowed = 2.0 * rounding(robot, q, wrench, robot.state(q).singular_values().forward)
-        assert np.abs(total).max() <= allowed * (1.0 + robot.leg_lengths(q).sum())

@@ -62,7 +62,7 @@ def test_boundary_points_obey_the_theorem(points: BoundaryPoints) -> None:
 
 
 def test_limits_may_differ_from_leg_to_leg() -> None:
-    boundary = reachable_boundary(PAPER, LEGS_APART, spacing=0.3)
+    boundary = reachable_boundary(PAPER, LEGS_APART, spacing=0.5)
     assert boundary.limits == LEGS_APART
     check_theorem(boundary.sample(50, rng=2), LEGS_APART)
 
@@ -117,7 +117,7 @@ def test_the_search_reports_progress_and_can_be_interrupted() -> None:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        reachable_boundary(PAPER, NARROW, spacing=0.3, progress=tell)
+        reachable_boundary(PAPER, NARROW, spacing=0.6, progress=tell)
     assert all(0 <= done <= of for _, done, of in told)
     assert len({what for what, _, _ in told}) >= 3
 

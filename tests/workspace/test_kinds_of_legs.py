@@ -16,7 +16,7 @@ from spm_pin.workspace.states import StateSet, states_within
 
 LIMITS = {"RPS": (1.1, 1.5), "PRS": (-0.5, 0.1), "RRS": (0.2, 1.2), "PRS hanging": (2.4, 3.0)}
 MACHINES = [
-    *(("RPS", "RPS", False), ("RPS", "RPS", True), ("PRS", "PRS", False)),
+    *(("RPS", "RPS", True), ("PRS", "PRS", False)),
     *(("RRS", "PRS", True), ("RPS", "RRS", True), ("PRS hanging", "PRS hanging", True)),
 ]
 NAMES = [f"{lower} and {upper}{', calibrated' * built}" for lower, upper, built in MACHINES]
@@ -68,7 +68,7 @@ def test_the_set_holds_what_is_physical_within_the_limits_and_within_reach(
 ) -> None:
     assert machine.limits is not None
     rng = np.random.default_rng(2)
-    coordinates = within.sample[:3000] + rng.normal(0.0, 0.15, (3000, 2, 3))
+    coordinates = within.sample[:1500] + rng.normal(0.0, 0.15, (1500, 2, 3))
     coordinates = coordinates[(np.hypot(coordinates[..., 0], coordinates[..., 1]) < 0.99).all(axis=-1)]
     states = within.states(coordinates)
     expected = states.is_at_home & machine.limits.contains(states.readings)
@@ -107,7 +107,7 @@ def test_positions_of_random_readings_are_reachable_and_the_readings_found_lead_
     machine: spm.Manipulator,
 ) -> None:
     assert machine.limits is not None
-    states = random_states(machine, 60, 3)
+    states = random_states(machine, 25, 3)
     away = states.translation + np.random.default_rng(4).normal(0.0, 0.3, (len(states), 3))
     for points, all_reached in ((states.translation, True), (away, False)):
         reach = reachable_position(machine, points)
@@ -120,7 +120,7 @@ def test_positions_of_random_readings_are_reachable_and_the_readings_found_lead_
 
 def test_no_state_that_a_random_search_finds_is_nearer_than_the_nearest(machine: spm.Manipulator) -> None:
     assert machine.limits is not None
-    rng, states = np.random.default_rng(5), random_states(machine, 4, 6)
+    rng, states = np.random.default_rng(5), random_states(machine, 2, 6)
     for pose in states.pose:
         turn = Rotation.from_rotvec(rng.normal(0.0, 0.3, 3)) * pose.rotation
         target = spm.pose(pose.translation + rng.normal(0.0, 0.3, 3), rotation=turn)

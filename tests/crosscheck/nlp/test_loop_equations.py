@@ -1,10 +1,5 @@
 from __future__ import annotations
 
-import shutil
-import subprocess
-from pathlib import Path
-
-import casadi as ca
 import numpy as np
 import pytest
 from kinds_of_legs import machine_of_kinds, states
@@ -68,22 +63,3 @@ def test_readings_and_rates_of_legs_of_any_kind(lower: str, upper: str) -> None:
         np.testing.assert_allclose(np.asarray(shown(*arguments(state))).ravel(), state.readings, rtol=0, atol=1e-13)
         rates, expected = nlp.inverse_jacobian(derivatives(*arguments(state))), spm.inverse_jacobian(state)
         np.testing.assert_allclose(rates, expected, rtol=0, atol=1e-11 * np.abs(expected).max() ** 2)
-
-
-def test_functions_can_be_saved_loaded_and_compiled_from_c(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    machine = PAPER
-    state = random_branches(machine, "TT", 1, 5).configuration[0]
-    closure = nlp.closure(machine)
-    expected = np.asarray(closure(*arguments(state))[1])
-    closure.save("closure.casadi")
-    again = ca.Function.load("closure.casadi")
-    assert again.name_in() == ["b", "rotation", "translation"]
-    np.testing.assert_array_equal(np.asarray(again(*arguments(state))[1]), expected)
-    closure.generate("closure.c")
-    assert "closure" in Path("closure.c").read_text(encoding="utf-8")
-    compiler = shutil.which("cc")
-    if compiler is not None:
-        subprocess.run([compiler, "-shared", "-fPIC", "-O1", "closure.c", "-o", "closure.so"], check=True)
-        compiled = ca.external("closure", "./closure.so")
-        np.testing.assert_allclose(np.asarray(compiled(*arguments(state))[1]), expected, rtol=0, atol=1e-15)

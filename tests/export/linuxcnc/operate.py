@@ -71,11 +71,8 @@ def interrupt(line, how):
     time.sleep(0.5)
     if how == "abort":
         command.abort()
-    elif how == "joint mode":
-        command.mode(linuxcnc.MODE_MANUAL)
-        command.teleop_enable(0)
     else:
-        command.state(linuxcnc.STATE_ESTOP if how == "estop" else linuxcnc.STATE_OFF)
+        command.state(linuxcnc.STATE_ESTOP)
         settle(lambda: status.task_state != linuxcnc.STATE_ON)
         time.sleep(0.5)
         turn_on()
