@@ -167,9 +167,10 @@ def forward_physical(machine: Any, readings: npt.ArrayLike, near: Any = None) ->
     -----
     Nominal RPS legs have at most one configuration in the home assembly region; `docs/theory/uniqueness.md` proves
     it. It was T1+/T1+ in all cases with E and C at least a twentieth of d. Other legs may have two: give `near`.
-    Newton's method finds it from the level stages; if that leads to another state, it is searched among all modes.
-    If that fails no state exists: this held for a million sets of leg lengths, but is not proved. The state
-    `near` may be far: each step of the path is so short that Newton's method provably stays on it.
+    Newton's method finds it from the level stages; if that leads to another state, or fails with a leg shorter than a
+    tenth of another, it is searched among all modes. Where it fails with other legs no state exists: this held for a
+    million sets of leg lengths, but is not proved. The state `near` may be far: each step of the path is so short that
+    Newton's method provably stays on it.
 
     Examples
     --------

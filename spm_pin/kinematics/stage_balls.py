@@ -67,8 +67,8 @@ def physical_balls(legs: Legs, readings: FloatArray) -> FloatArray:
     constants, results = (legs.axes, legs.balls, legs.stage_ups), (((count, 3, 3), np.float64), ((count,), np.bool_))
     balls: FloatArray
     balls, is_elsewhere = run_kernel(home_states, locked, constants, results, _MIN_BATCH_PER_THREAD_PHYSICAL)
-    # From the level stage Newton's method leads to every state of cylinders, and wanders for 1 in 500 of other legs,
-    # a few into another working mode.
+    # From the level stage Newton's method leads to every state of cylinders none of which is short, and wanders for
+    # 1 in 500 of other legs, a few into another working mode.
     if not legs.are_rps:
         balls = _in_working_modes(legs, balls, readings)
         for k, kind in enumerate(legs.kinds):

@@ -33,7 +33,6 @@ from spm_pin.support.arguments import (
 )
 from spm_pin.support.progress import shown_progress
 from spm_pin.workspace.search import (
-    SINGULARITY_MARGIN,
     NearestPoints,
     in_chunks,
     nearest_points,
@@ -207,7 +206,7 @@ class Boundary(ClosedMesh):
     """Readings that put o at the vertices [m], shape (V, 6)."""
 
     def __repr__(self) -> str:
-        return f"<Boundary: {len(self.vertices)} vertices, {len(self.faces)} faces, {self.volume:.4f} m³>"
+        return f"<Boundary: {len(self.vertices)} vertices, {len(self.faces)} faces, {self.volume:.4g} m³>"
 
     def sample(self, count: int, rng: np.random.Generator | int | None = None) -> BoundaryPoints:
         """Return `count` random points of the boundary, about uniformly over its area.
@@ -320,7 +319,7 @@ def _crossings(states: StateSet, inner: FloatArray, outer: FloatArray, within: F
         for _ in range(_HALVINGS):
             middle = 0.5 * (low[left] + high[left])
             points = inner[left] + middle[:, None] * along[left]
-            member = search_states(states, points, within[left], margin=SINGULARITY_MARGIN)
+            member = search_states(states, points, within[left])
             good = member.reached
             within[left[good]], outermost[left[~good]] = member.coordinates[good], member.coordinates[~good]
             low[left], high[left] = np.where(good, middle, low[left]), np.where(good, high[left], middle)

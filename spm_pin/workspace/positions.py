@@ -171,8 +171,9 @@ def reachable_position(machine: Manipulator, points: npt.ArrayLike, limits: LegL
 
     Notes
     -----
-    "Reachable" is proved: `readings` put o there. "Not reachable" is the outcome of a search; where it has not found
-    the nearest position either, `undecided` says so.
+    "Reachable" is proved: `readings` put o there. The determinant of each stage, about 1 at home, is at least 1e-6:
+    closer to a forward singularity, rounding of readings decides whether there is a state. "Not reachable" is the
+    outcome of a search; where it has not found the nearest position either, `undecided` says so.
     """
     check_manipulator(machine, for_stage=FOR_STAGE)
     array = real_array(points, "points", (3,), "positions in metres")

@@ -21,11 +21,9 @@ from spm_pin.kinematics.kernels import RESOLUTION
 from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, Progress
 from spm_pin.workspace.states import CENTRE, StateSet
 
-SINGULARITY_MARGIN = 3e-7
-"""Smallest determinant of a stage, about 1 at home, in searches for the boundary: closer to a forward singularity,
-rounding of the readings moves o farther than `RESOLUTION`."""
-_LEAST_DETERMINANT = 1e-8
-"""The same in searches for a state with o at a point."""
+SINGULARITY_MARGIN = 1e-6
+"""Smallest determinant of a stage, about 1 at home: closer to a forward singularity, rounding of the readings moves o
+farther than `RESOLUTION`, and still closer no state may be found from them."""
 _LEVELS, _GROUP, _UPPER, _SEED = 5, 64, 200_000, 20_140_131
 """The sample: 2^5 groups of 64 similar lower stages, the number of upper stages, and its seed."""
 _VOXELS, _PAD = 64, 0.15
@@ -158,16 +156,15 @@ def search_states(
     points: FloatArray,
     starts: FloatArray | None = None,
     *,
-    margin: float = _LEAST_DETERMINANT,
     what: str = "",
     progress: Progress | None = None,
 ) -> Membership:
     """Search for states within the limits that put o at `points` (N, 3), in {B} [m].
 
     With `starts` (N, 2, 3) the search begins at one state for each point, instead of those of `StartTable.nearby`.
-    Determinants are larger than `margin`. `what` is the description of the work for `progress`.
+    Determinants are larger than `SINGULARITY_MARGIN`. `what` is the description of the work for `progress`.
     """
-    machine = states.constants(margin=margin)
+    machine = states.constants(margin=SINGULARITY_MARGIN)
 
     def search(points: FloatArray, starts: FloatArray | None = None) -> Membership:
         from spm_pin.kinematics.kernels.state_search import search_points

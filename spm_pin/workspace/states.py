@@ -49,7 +49,7 @@ _TRIED, _FEW, _FEWEST = 48, 22, 6
 at most, and how many must exist."""
 _MIN_BATCH = 4096
 """Number of stages that are worth a thread."""
-_BOXES, _HALVINGS = 20_000, 12
+_BOXES, _HALVINGS = 20_000, 50
 """Boxes of a stage's cover with which its refinement ends, and refinements at most; each halves the boxes' sides."""
 _RESERVE = 1.2
 """Factor of the bound on the motion of balls in a box, since a calibrated machine has a little torsion."""

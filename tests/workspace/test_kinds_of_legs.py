@@ -63,6 +63,18 @@ def test_coordinates_are_those_of_the_forward_displacement(machine: spm.Manipula
         np.testing.assert_allclose(joints[:, k], states.pose.apply(joint), atol=1e-12)
 
 
+def test_readings_of_reachable_positions_assemble_beside_a_fold_too() -> None:
+    machine = limited("RRS", "PRS", True)
+    points = random_states(machine, 40, 3).translation
+    reach = reachable_position(machine, points)
+    assert reach.reachable.all()
+    found = spm.forward_physical(machine, reach.readings)
+    within = states_within(machine)
+    lower = within.stages(0, within.coordinates(found)[:, 0])
+    assert lower.determinant.min() == pytest.approx(1e-6, rel=0.01), "one search ends beside the fold"
+    np.testing.assert_allclose(found.translation, points, rtol=0.0, atol=1e-8)
+
+
 def test_the_set_holds_what_is_physical_within_the_limits_and_within_reach(
     machine: spm.Manipulator, within: StateSet
 ) -> None:

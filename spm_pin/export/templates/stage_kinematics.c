@@ -41,15 +41,7 @@ static int put(int status, const stage_geometry *stage, const stage_state *from,
     return status;
 }
 
-const char *{{prefix}}status_name(int status)
-{
-    switch (status) {
-    case STAGE_OK: return "ok";
-    case STAGE_UNREACHABLE: return "unreachable";
-    case STAGE_SINGULAR: case STAGE_UNSAFE: return "singular";
-    default: return "not finite, or more than a turn";
-    }
-}
+{% include "stage_status.c" %}
 
 int {{prefix}}inverse(const {{prefix}}geometry *geometry, const double rotation[9], const double position[3],
         const {{prefix}}state *near, {{prefix}}state *state)

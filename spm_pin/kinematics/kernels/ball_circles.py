@@ -37,6 +37,7 @@ from spm_pin.kinematics.kernels.compilation import jit, jit_inline, kernel, put_
 from spm_pin.support.arguments import FloatArray
 
 _SHORTEST = 1e-9  # where a step would have to be shorter than this share of the way, a singularity is met
+_SHORT = 0.1  # radius over the largest one below which Newton's method may wander although there is a home state
 _MOST_SAFE_STEPS = 250_000  # a bound of the time; a way that needs more is said to meet a singularity
 
 
@@ -101,8 +102,8 @@ def home_states(centres, radii, axes, balls, ups, joints, is_elsewhere):
 
     The circles of the legs have `centres` (N, 3m, 3) [m], `radii` (N, 3m) [m] and `axes` (3m, 3), in {B} of a lower
     stage and in {m} of an upper one; `balls` (3m, 3) [m] are in the platform's frame and `ups` (m,) the stages'
-    `PlacedLegs.up`. Written are the balls (N, m, 3, 3) [m], NaN where no physical state was found, and whether Newton's
-    method ended in another aspect (N, m): then there may be a physical state all the same.
+    `PlacedLegs.up`. Written are the balls (N, m, 3, 3) [m], NaN where no physical state was found, and whether one may
+    exist all the same (N, m): Newton's method ended in another aspect, or wandered with a short leg.
     """
     for k in range(len(ups)):
         leg, own = 3 * k, rows_at(balls, 3 * k)
@@ -112,7 +113,8 @@ def home_states(centres, radii, axes, balls, ups, joints, is_elsewhere):
             first = first_step(stage, level_balls(stage, own, ups[k]))
             e, b, converged = solution(stage, first.directions, first.step)
             is_home = is_home_state(stage, e, b, ups[k])
-            is_elsewhere[n, k] = converged and not is_home
+            is_short = min(radii[n, leg : leg + 3]) < _SHORT * max(radii[n, leg : leg + 3])
+            is_elsewhere[n, k] = not is_home if converged else is_short
             joints[n, k] = np.nan
             if converged and is_home:
                 put_rows(b, joints[n, k])

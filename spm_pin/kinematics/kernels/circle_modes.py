@@ -243,6 +243,21 @@ def _real(x):
 
 
 @jit_inline
+def _real_angles(c, s):
+    """Return cosines and sines of the real angles next to nearly real ones, whose real parts are on larger circles."""
+    p, q = _real(c), _real(s)
+    scales = (
+        1.0 / math.sqrt(p[0] * p[0] + q[0] * q[0]),
+        1.0 / math.sqrt(p[1] * p[1] + q[1] * q[1]),
+        1.0 / math.sqrt(p[2] * p[2] + q[2] * q[2]),
+    )
+    return (
+        (scales[0] * p[0], scales[1] * p[1], scales[2] * p[2]),
+        (scales[0] * q[0], scales[1] * q[1], scales[2] * q[2]),
+    )
+
+
+@jit_inline
 def _complex(x):
     return complex(x[0], 0.0), complex(x[1], 0.0), complex(x[2], 0.0)
 
@@ -260,14 +275,16 @@ def _is_real(c, s, tolerance):
 def _add_solution(forms, sizes, c, s, offset, found, count):
     """Append the solution near these angles, and its conjugate, as far as they are new; return their number."""
     if _is_real(c, s, _NEARLY_REAL):
-        real_c, real_s, converged = _polished(forms, sizes, _real(c), _real(s))
+        real_c, real_s = _real_angles(c, s)
+        real_c, real_s, converged = _polished(forms, sizes, real_c, real_s)
         if converged:
             return _add(_complex(real_c), _complex(real_s), offset, found, count)
     c, s, converged = _polished(forms, sizes, c, s)
     if not converged:
         return count
     if _is_real(c, s, _SEPARATE):
-        return _add(_complex(_real(c)), _complex(_real(s)), offset, found, count)
+        real_c, real_s = _real_angles(c, s)
+        return _add(_complex(real_c), _complex(real_s), offset, found, count)
     count = _add(c, s, offset, found, count)
     c, s = (np.conj(c[0]), np.conj(c[1]), np.conj(c[2])), (np.conj(s[0]), np.conj(s[1]), np.conj(s[2]))
     return _add(c, s, offset, found, count)

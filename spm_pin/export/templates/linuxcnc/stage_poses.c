@@ -1,12 +1,4 @@
-static const char *stage_status_name(int status)
-{
-    switch (status) {
-    case STAGE_UNREACHABLE: return "unreachable";
-    case STAGE_SINGULAR: return "singular";
-    case STAGE_UNSAFE: return "a singularity may be on the way";
-    default: return "numbers that are not finite";
-    }
-}
+static {% include "stage_status.c" %}
 
 /* From the level platform. */
 static int begin(const double *readings)
