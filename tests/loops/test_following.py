@@ -168,6 +168,27 @@ def test_targets_that_stay_or_hardly_change(change: float, runner: str) -> None:
         assert_allclose(again, q, atol=1e-11)
 
 
+@pytest.mark.parametrize("runner", ["interpreted", "compiled"])
+def test_machine_of_a_millimetre_ten_metres_from_the_origin(runner: str) -> None:
+    """Its loops close to 1e-11 of their lengths only: the rest is rounding, which no step of Newton's makes smaller."""
+    large, random = five_bar(), np.random.default_rng(5)
+    model = large.model.copy()
+    for k in range(1, model.njoints):
+        model.jointPlacements[k].translation *= 1e-3
+        if not model.parents[k]:
+            model.jointPlacements[k].translation += [6.0, -7.0, 4.0]
+    loop = closure("point", "left_rod", at(0.3e-3), "right_rod", at(0.3e-3))
+    chain = ClosedChain(model, [loop], ["left", "right"], q0=large.q0)
+    if runner == "compiled":
+        chain.compile()
+    q, start = chain.close(), large.q0[large.actuated_in_q]
+    for change in 10.0 ** random.uniform(-16, -2, 40):
+        values = start + change * random.uniform(-1.0, 1.0, 2)
+        for _ in range(3):
+            q = chain.forward(values, q)
+            assert_allclose(q, large.forward(values, large.q0), atol=1e-10)
+
+
 def test_inverse_of_a_platform_is_that_of_forward() -> None:
     chain = stewart()
     goal = chain.forward(far_targets(chain, 1, 0.1)[0], chain.q0)
