@@ -215,7 +215,7 @@ def test_bad_input_is_refused() -> None:
         ("q", chain.state, q * np.nan),
         ("q", free.state, np.zeros(25)),
         ("tau", state.forward_dynamics, [1.0]),
-        ("frame", state.forward_dynamics, tau, {"nowhere": np.zeros(6)}),
+        ("wrenches", state.forward_dynamics, tau, {"nowhere": np.zeros(6)}),
         ("wrenches", state.forward_dynamics, tau, [1.0] * 6),
         ("wrenches", state.forward_dynamics, tau, {"roll": [1.0] * 5}),
         ("a", state.inverse_dynamics, np.ones(8)),
