@@ -190,7 +190,8 @@ class ConstraintRows:
     @property
     def are_points(self) -> bool:
         """True if `PointRows` has all equations."""
-        return self.pose < 0 and not self.equalities and all(closure.kind == "point" for closure in self.closures)
+        kinds = {closure.kind for closure in self.closures}
+        return self.pose < 0 and not self.equalities and kinds == {"point"}
 
     def concerns(self) -> BoolArray:
         """Return which velocities (nv,) the equations depend on."""

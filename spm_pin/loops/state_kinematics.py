@@ -274,8 +274,9 @@ class StateKinematics:
         return np.asarray(half + np.triu(half, 1).T)
 
     def energies(self, v: FloatArray) -> tuple[float, float]:
-        """Return the kinetic and the potential energy of the bodies [J]."""
-        kinetic = pin.computeKineticEnergy(self.model, self.data, self.q, v)
+        """Return the kinetic energy, that of armatures included, and the potential energy [J]."""
+        # computeKineticEnergy of Pinocchio 4.1 leaves out armatures of hinges along no axis of their frames.
+        kinetic = 0.5 * v.dot(self.mass_matrix().dot(v))
         return float(kinetic), float(pin.computePotentialEnergy(self.model, self.data, self.q))
 
     def check_closed(self, v: FloatArray | None = None, argument: str = "v") -> None:
