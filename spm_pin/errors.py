@@ -229,17 +229,20 @@ class ClosureError(SpmError):
     Attributes
     ----------
     residual : float
-        Largest distance of two frames of a closure at the end of the search [m].
+        How far the loop that is most open is from closed at the end of the search, in `unit`.
     iterations : int
         Number of steps.
     loop : str
-        Name of the closure with the largest gap, if loops have names.
+        Name of this closure or joint equality, if loops have names.
+    unit : str
+        "m", or "rad" if an angle is wrong.
     """
 
-    def __init__(self, residual: float, iterations: int, cause: str = "", loop: str = "") -> None:
+    def __init__(self, residual: float, iterations: int, cause: str = "", loop: str = "", unit: str = "m") -> None:
         self.residual = residual
         self.iterations = iterations
         self.cause = cause
         self.loop = loop
-        message = f"the closures are still {residual:.1e} m open after {iterations} iterations"
+        self.unit = unit
+        message = f"the closures are still {residual:.1e} {unit} open after {iterations} iterations"
         super().__init__(f"{message}. {cause}" if cause else message)

@@ -42,17 +42,13 @@ def assemble(kinematics: LoopKinematics, guess: FloatArray, free: IntArray) -> F
             is_reversed = _reversed(kinematics, q)
         if size <= CLOSED and not _reversed(kinematics, q):
             return q
-    gaps, angles, loop = kinematics.open_closures(nearest)
-    cause = (
-        f"The loop {loop!r} stays open: no closed configuration near the guess, or links of lengths that cannot close"
-    )
+    gap, unit, loop = kinematics.widest(nearest)
+    cause = f"{loop!r} stays open: no closed configuration near the guess, or links of lengths that cannot close"
     if least <= CLOSED:
         cause = (
             f"The closure {is_reversed[0]!r} is closed the wrong way round, turned by 180°: start from another guess"
         )
-    elif gaps.max(initial=0.0) < 1e-9 * rows.size:
-        cause += f" It is turned by {np.degrees(angles.max(initial=0.0)):.2g}°."
-    raise ClosureError(float(gaps.max(initial=0.0)), steps, cause, loop)
+    raise ClosureError(gap, steps, cause, loop, unit)
 
 
 def _reversed(kinematics: LoopKinematics, q: FloatArray) -> list[str]:

@@ -18,7 +18,7 @@ from scipy.spatial.transform import RigidTransform
 from spm_pin.errors import ArgumentError, DescriptionError
 from spm_pin.loops.assembly import assemble
 from spm_pin.loops.closures import Closure, JointEquality, RobotDescription
-from spm_pin.loops.constraint_rows import ConstraintRows, LoopKinematics
+from spm_pin.loops.constraint_rows import SCALAR_JOINTS, ConstraintRows, LoopKinematics
 from spm_pin.loops.following import Follower, Problem
 from spm_pin.loops.forward_simulation import LoopMotion, simulate
 from spm_pin.loops.loop_state import LoopState
@@ -27,10 +27,12 @@ from spm_pin.loops.state_kinematics import frame_index, read_vectors
 from spm_pin.support.arguments import (
     FloatArray,
     IntArray,
+    Kind,
     broadcastable,
     check_instance,
     name_sequence,
     real_array,
+    type_and_value,
     whole_number,
 )
 
@@ -97,7 +99,8 @@ class ClosedChain:
         self._nq, self._is_flat = self.model.nq, self.model.nq == self.model.nv
         self.q0 = pin.neutral(self.model) if q0 is None else self._read_q(q0, "q0", single=True).copy()
         self.q0.flags.writeable = False
-        self.closures, self.equalities = tuple(closures), tuple(equalities)
+        self.closures = _members(closures, Closure, "closures")
+        self.equalities = _members(equalities, JointEquality, "equalities")
         self.rows = ConstraintRows(self.model, self.closures, self.equalities, self.q0)
         self.actuated, self.held = name_sequence(actuated, "actuated"), name_sequence(held, "held")
         both = set(self.actuated) & set(self.held)
@@ -105,7 +108,7 @@ class ClosedChain:
             raise ArgumentError("held", "joints that are not actuated", ", ".join(sorted(both)))
         for name in self.actuated:
             if self._joint(name, "actuated").nq != 1:
-                raise ArgumentError("actuated", "joints of one degree of freedom", repr(name))
+                raise ArgumentError("actuated", SCALAR_JOINTS, repr(name))
         self.actuated_in_q = self.indices_in_q(*self.actuated)
         self.actuated_in_v = self.indices_in_v(*self.actuated)
         for name in self.held:
@@ -255,9 +258,11 @@ class ClosedChain:
         ClosureError, ArgumentError
             As `forward`.
         """
-        chosen = tuple(sorted(set(rows))) if isinstance(rows, Sequence | np.ndarray) else ()
-        if not chosen or not set(chosen) <= set(range(6)) or len(chosen) != len(tuple(rows)):
-            raise ArgumentError("rows", "different numbers from 0, 1, 2 (position) and 3, 4, 5 (rotation)", repr(rows))
+        expected = "different numbers from 0, 1, 2 (position) and 3, 4, 5 (rotation)"
+        listed = rows if isinstance(rows, Sequence | np.ndarray) and not isinstance(rows, str) else ()
+        chosen = tuple(sorted({whole_number(row, "rows", expected, most=5) for row in listed}))
+        if not chosen or len(chosen) != len(listed):
+            raise ArgumentError("rows", expected, repr(rows))
         frame_index(self.model, frame)
         return self._follow(self._follower(frame, chosen), _matrices(pose), 2, near, "pose")
 
@@ -346,6 +351,13 @@ class ClosedChain:
             if joint.idx_v <= index < joint.idx_v + joint.nv:
                 return str(self.model.names[joint.id])
         raise ArgumentError("index", f"an index of v, below {self.model.nv}", index)
+
+
+def _members(value: Any, kind: type[Kind], argument: str) -> tuple[Kind, ...]:
+    """Read a sequence of members of a kind."""
+    if not isinstance(value, Sequence):
+        raise ArgumentError(argument, f"a sequence of {kind.__name__}", type_and_value(value))
+    return tuple(check_instance(member, kind, f"{argument}[{k}]") for k, member in enumerate(value))
 
 
 def _matrices(pose: Any) -> FloatArray:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import pinocchio as pin
+
+from spm_pin.errors import ArgumentError
+from spm_pin.support.arguments import check_instance, choice, real_array, real_number
 
 ClosureKind = Literal["point", "hinge", "planar", "weld"]
 
@@ -17,6 +20,13 @@ class Anchor:
 
     frame: str
     placement: Any = field(default_factory=pin.SE3.Identity)
+
+    def __post_init__(self) -> None:
+        check_instance(self.frame, str, "frame")
+        matrix = check_instance(self.placement, pin.SE3, "placement").homogeneous
+        # A comparison with NaN is false.
+        if not (np.abs(matrix[:3, :3] @ matrix[:3, :3].T - np.eye(3)).max() <= 1e-9 and np.isfinite(matrix).all()):
+            raise ArgumentError("placement", "a rigid transform of finite numbers", f"{matrix.tolist()}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +43,11 @@ class Closure:
     second: Anchor
     name: str = ""
 
+    def __post_init__(self) -> None:
+        choice(self.kind, "kind", get_args(ClosureKind))
+        check_instance(self.first, Anchor, "first")
+        check_instance(self.second, Anchor, "second")
+
 
 @dataclass(frozen=True)
 class JointEquality:
@@ -48,6 +63,12 @@ class JointEquality:
     zero: float = 0.0
     driver_zero: float = 0.0
     name: str = ""
+
+    def __post_init__(self) -> None:
+        if real_array(self.coefficients, "coefficients", (), "lowest power first").ndim != 1:
+            raise ArgumentError("coefficients", "a sequence of numbers, lowest power first", f"{self.coefficients}")
+        real_number(self.zero, "zero", "a finite number")
+        real_number(self.driver_zero, "driver_zero", "a finite number")
 
 
 class RobotDescription(NamedTuple):

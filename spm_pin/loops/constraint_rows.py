@@ -14,7 +14,6 @@ move them alike and do not contribute. Angles of 180° solve the equations of ax
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -25,12 +24,13 @@ from spm_pin.errors import ArgumentError
 from spm_pin.loops.closures import Anchor, Closure, JointEquality
 from spm_pin.loops.links import find_frame
 from spm_pin.loops.point_closures import PointRows
-from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, type_and_value
+from spm_pin.support.arguments import BoolArray, FloatArray, IntArray
 
 POSITION, ROTATION, AXIS, FORMS = 0, 3, 6, 8
 """First index of the equations of each form among the eight of a closure, and their number."""
 _FORMS_OF_KIND = {"point": (0, 1, 2), "hinge": (0, 1, 2, 6, 7), "planar": (0, 1), "weld": (0, 1, 2, 3, 4, 5)}
 _TURNING = ("RX", "RY", "RZ", "RevoluteUnaligned", "PX", "PY", "PZ", "PrismaticUnaligned", "RUBX", "RUBY", "RUBZ")
+SCALAR_JOINTS = "hinges and slides, whose value is one number"
 _JOINT_KINDS = (*_TURNING, "RevoluteUnboundedUnaligned", "Spherical", "Translation", "Planar", "FreeFlyer")
 
 
@@ -65,6 +65,8 @@ class ConstraintRows:
         Angular speed of frame 2 against frame 1 that each velocity brings about; it is the same in any configuration.
     lever_scales : ndarray, shape (closures, nv)
         Factors from the speeds of p2 to `Linearised.levers`.
+    are_lengths : ndarray of bool, shape (m,)
+        True for equations in m, False in rad.
     size : float
         Length of the longest loop [m].
     """
@@ -94,10 +96,6 @@ class ConstraintRows:
             self.closures += (Closure("weld", Anchor("universe"), Anchor(pose[0]), f"pose of {pose[0]}"),)
         self.joints, self.placements, names = [], [], []
         for k, closure in enumerate(self.closures):
-            if not isinstance(closure, Closure):
-                raise ArgumentError(f"closures[{k}]", "a Closure", type_and_value(closure))
-            if closure.kind not in _FORMS_OF_KIND:
-                raise ArgumentError("closures", f"kinds {', '.join(_FORMS_OF_KIND)}", repr(closure.kind))
             names.append(closure.name or f"{closure.kind} of {closure.first.frame} and {closure.second.frame}")
             ends = [self._anchor(anchor, names[k]) for anchor in (closure.first, closure.second)]
             if ends[0][0] == ends[1][0]:
@@ -137,9 +135,7 @@ class ConstraintRows:
         for equality in self.equalities:
             for name in (equality.joint, equality.driver):
                 if name is not None and not (model.existJointName(name) and _joint(model, name).nq == 1):
-                    raise ArgumentError("equalities", "joints of one degree of freedom", repr(name))
-            if not np.isfinite([equality.zero, equality.driver_zero, *equality.coefficients]).all():
-                raise ArgumentError("equalities", f"finite numbers for the joint {equality.joint!r}", repr(equality))
+                    raise ArgumentError("equalities", SCALAR_JOINTS, repr(name))
             driver = _joint(model, equality.driver) if equality.driver is not None else None
             joint = _joint(model, equality.joint)
             places.append([joint.idx_q, joint.idx_v, driver.idx_q if driver else -1, driver.idx_v if driver else -1])
@@ -175,6 +171,7 @@ class ConstraintRows:
         self.lever_scales = 4.0 / self.loop_lengths[:, None] / np.where(self.turns > 0.0, self.turns, 1.0)
         units = [0.25 * self.loop_lengths[f // FORMS] if f % FORMS < ROTATION else 1.0 for f in self.forms.tolist()]
         self.row_units = np.array([*units, *self.units[self.equality_places[:, 1]]])
+        self.are_lengths = np.concatenate([self.forms % FORMS < ROTATION, is_slide[self.equality_places[:, 1]]])
 
     def _subspace(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return which velocities are of translations (nv,), and velocities and angular velocities (nv, 3) of each."""
@@ -193,7 +190,8 @@ class ConstraintRows:
     @property
     def are_points(self) -> bool:
         """True if `PointRows` has all equations."""
-        return self.pose < 0 and not self.equalities and all(closure.kind == "point" for closure in self.closures)
+        kinds = {closure.kind for closure in self.closures}
+        return self.pose < 0 and not self.equalities and kinds == {"point"}
 
     def concerns(self) -> BoolArray:
         """Return which velocities (nv,) the equations depend on."""
@@ -316,16 +314,18 @@ class LoopKinematics:
         levers = np.sqrt((scaled[:, :3] ** 2).sum(axis=1)) * rows.lever_scales
         return Linearised(rows.left_sides(q, placed[2]) / rows.row_units, jacobian * self._columns, levers)
 
-    def open_closures(self, q: FloatArray) -> tuple[FloatArray, FloatArray, str]:
-        """Return gaps [m] and angles [rad] of all closures, and the name of the one with the largest scaled error."""
-        pin.forwardKinematics(self.rows.model, self.data, q)
-        sides = np.abs(self.rows.left_sides(q, self.rows.placements_of(self.data)[2]))
-        gaps, angles = np.zeros((2, len(self.rows.closures)))
-        for form, side in zip(self.rows.forms.tolist(), sides.tolist(), strict=False):
-            target = gaps if form % FORMS < ROTATION else angles
-            target[form // FORMS] = math.hypot(target[form // FORMS], side)
-        worst = int(np.argmax(sides / self.rows.row_units)) if len(sides) else -1
-        return gaps, angles, self.rows.labels[worst] if worst >= 0 else ""
+    def widest(self, q: FloatArray) -> tuple[float, str, str]:
+        """Return the distance or angle by which the worst loop or equality is open, its unit and name."""
+        rows = self.rows
+        pin.forwardKinematics(rows.model, self.data, q)
+        sides = np.abs(rows.left_sides(q, rows.placements_of(self.data)[2]))
+        if not len(sides):
+            return 0.0, "m", ""
+        worst = int(np.argmax(sides / rows.row_units))
+        owners = np.concatenate([rows.forms // FORMS, -1 - np.arange(len(rows.equalities))])
+        is_length = bool(rows.are_lengths[worst])
+        alike = (owners == owners[worst]) & (rows.are_lengths == is_length)
+        return float(np.linalg.norm(sides[alike])), "m" if is_length else "rad", rows.labels[worst]
 
 
 def _polynomial(coefficients: FloatArray, x: FloatArray) -> FloatArray:

@@ -62,8 +62,9 @@ MOST_CORRECTIONS = 12
 CLOSED, ROUNDED = 1e-10, 1e-9
 """Loops are closed if their equations, dimensionless, hold to `CLOSED`; mostly they do so to rounding, a few 1e-16. At
 the start of a path, joint values that were rounded are taken for closed to `ROUNDED`."""
-ROUNDING, NOISE = 1e-15, 1e-12
-"""Errors of c near the origin by rounding, and what they may come to in a correction, some 100 m away."""
+ROUNDING, NOISE = 1e-15, 1e-10
+"""Errors of c near the origin by rounding, and what they may come to in a correction, at 10,000 times the loop's length
+from there. No step as small as that leads past a singularity from a place that is `REGULAR`."""
 REGULAR = 1e-7
 """Smallest pivot of a Jacobian of full rank, relative to the largest."""
 INNER, QUINTIC = 1.87, 3.0e-5

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import math
 import sys
 import threading
 from collections.abc import Sequence
@@ -16,7 +17,7 @@ from scipy.linalg import lapack
 from spm_pin.errors import ArgumentError, ClosureError
 from spm_pin.loops.assembly import assemble
 from spm_pin.loops.constraint_rows import FORMS, ROTATION, ConstraintRows, LoopKinematics
-from spm_pin.loops.continuation import OPEN_START, REGULAR, SINGULAR_START, make_follower
+from spm_pin.loops.continuation import CLOSED, OPEN_START, REGULAR, SINGULAR_START, make_follower
 from spm_pin.support.arguments import BoolArray, FloatArray, IntArray
 
 FEW = 64
@@ -204,7 +205,7 @@ class Follower:
             found.rows = copy.copy(found.rows)
             found.rows.placements = list(found.rows.placements)
             found.kinematics = LoopKinematics(found.rows)
-            for name in ("driven_rates", "_all", "pose_turn", "pose_share"):
+            for name in ("driven_rates", "_all", "pose_turn", "pose_share", "drivers"):
                 setattr(found, name, getattr(found, name).copy())
             self._local.problem = found
         return found
@@ -212,6 +213,8 @@ class Follower:
     def run(self, starts: FloatArray, targets: FloatArray, is_path: bool) -> FloatArray:
         """Return q (n, nq) of n targets: from the start (nq,) along all, or each from its own (n, nq)."""
         results = np.empty((len(targets), starts.shape[-1]))
+        if not len(targets):
+            return results
         starts, k, status, done, steps = np.array(starts, order="C", ndmin=2), 0, 0, 1.0, 0
         bases = starts[:, self._bases]
         if self.frame is None:
@@ -255,9 +258,8 @@ class Follower:
         chain, problem = self.chain, self.problem()
         problem.aim(q, target)
         if status == OPEN_START:
-            gaps, _, loop = LoopKinematics(chain.rows).open_closures(q)
-            cause = "The loops are open at near: close(near) closes them"
-            return ClosureError(float(gaps.max(initial=0.0)), 0, cause, loop)
+            gap, unit, loop = LoopKinematics(chain.rows).widest(q)
+            return ClosureError(gap, 0, "The loops are open at near: close(near) closes them", loop, unit)
         jacobian = linearised(problem, q, 0.0)[1]
         freedoms = self._freedoms(q)
         argument, received = "actuated", len(chain.actuated)
@@ -278,15 +280,20 @@ class Follower:
                 f"{received}",
                 "The target has more values than the chain has degrees of freedom: they would contradict each other",
             )
-        where = f"No further than {100.0 * done:.3g} % of the way"
-        where += f" to member {k}" if k else ""
-        cause = f"{where}: a singularity, or the end of this assembly mode"
-        cause += f". Not determined there: {listed}" if listed else ""
+        cause = f"No further than {math.floor(1000.0 * done) / 10.0:g} % of the way"
+        cause += f" to member {k}" if k else ""
+        if np.abs(residual(problem, q, 0.0)).max(initial=0.0) > 0.5 * CLOSED:
+            loop = problem.kinematics.widest(q)[2]
+            cause += f": equations of {loop!r} depend on each other, and begin to contradict each other there, as with"
+            cause += " rounded dimensions. Fewer equations, as of a 'planar' closure, leave no such limit"
+        else:
+            cause += ": a singularity, or the end of this assembly mode"
+            cause += f". Not determined there: {listed}" if listed else ""
         # How open the loops, or how far the pose, would be with the target from here.
         there = moved(problem, q, 1.0, np.zeros(len(self.columns)))
         residual(problem, there, 1.0)
-        gaps, _, loop = problem.kinematics.open_closures(there)
-        return ClosureError(float(gaps.max(initial=0.0)), steps, cause, loop)
+        gap, unit, loop = problem.kinematics.widest(there)
+        return ClosureError(gap, steps, cause, loop, unit)
 
     def _freedoms(self, q: FloatArray) -> int:
         """Return the degrees of freedom of the movable joints: the fewest at closed q and at configurations near it."""

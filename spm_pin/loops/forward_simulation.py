@@ -25,7 +25,7 @@ from scipy.optimize import brentq
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
 from spm_pin.loops.loop_state import LoopState
 from spm_pin.loops.state_kinematics import frame_index, largest, read_vectors
-from spm_pin.support.arguments import FloatArray, Progress, check_function, real_array, real_number
+from spm_pin.support.arguments import FloatArray, Progress, check_function, increasing_times, real_number
 from spm_pin.support.progress import shown_progress
 
 Force = npt.ArrayLike | Callable[[float, FloatArray, FloatArray], npt.ArrayLike] | None
@@ -146,9 +146,7 @@ def simulate(
         Called with the current task, the completed thousandths of the run, and 1000; it may raise to interrupt.
         By default a line on the terminal after five seconds.
     """
-    recorded = real_array(times, "times", (), "in seconds")
-    if recorded.ndim != 1 or not recorded.size or (np.diff(recorded) <= 0.0).any():
-        raise ArgumentError("times", "increasing numbers of shape (k,), in seconds", f"shape {recorded.shape}")
+    recorded = increasing_times(times)
     begin, until = float(recorded[0]), float(recorded[-1])
     real_number(tolerance, "tolerance", "a number from 1e-13 to 1e-3", least=1e-13, most=1e-3)
     if period is not None:
@@ -166,7 +164,7 @@ def simulate(
         check_function(function, f"events[{name!r}]", "q")
     loads = {} if wrenches is None else {k: _as_function(w, f"wrenches[{k!r}]", 6) for k, w in wrenches.items()}
     report = shown_progress(progress)
-    placed = {frame_index(chain.model, name): load for name, load in loads.items()}
+    placed = {frame_index(chain.model, name, "wrenches"): load for name, load in loads.items()}
     run = _Run(chain, state, placed, events or {}, tolerance)
     y, end = np.concatenate([state.q, state.v, [0.0]]), SimulationEnd.COMPLETE
     run.detail = run.event(y)
@@ -295,21 +293,24 @@ class _Run:
     def event(self, y: FloatArray) -> str:
         """Return the name of a function of events that is negative, or nothing."""
         q = self.parts(y)[0]
-        return next((name for name, function in self._events.items() if function(q) < 0.0), "")
+        return next((name for name in self._events if self._margin(name, q) < 0.0), "")
+
+    def _margin(self, name: str, q: FloatArray) -> float:
+        return real_number(self._events[name](q), f"events[{name!r}]", "a function of q with a finite number")
 
     def first_event(self, dense: Callable[[float], FloatArray], before: float, t: float) -> tuple[str, float]:
         """Return the name of the first event in a step, or nothing, and its time, or that of the step's end."""
         if not self.event(dense(t)):
             return "", t
 
-        def margin(time: float, function: Any) -> float:
+        def margin(time: float, name: str) -> float:
             # Rounding must not have it end before the step begins.
-            return float(function(self.parts(dense(time))[0])) if time > before else 1e-300
+            return self._margin(name, self.parts(dense(time))[0]) if time > before else 1e-300
 
         q, times = self.parts(dense(t))[0], {}
-        for name, function in self._events.items():
-            if function(q) < 0.0:
-                times[name] = float(brentq(margin, before, t, args=(function,), xtol=1e-15, rtol=1e-14))
+        for name in self._events:
+            if self._margin(name, q) < 0.0:
+                times[name] = float(brentq(margin, before, t, args=(name,), xtol=1e-15, rtol=1e-14))
         first = min(times, key=lambda name: times[name])
         return first, times[first]
 

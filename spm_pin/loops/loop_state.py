@@ -144,9 +144,9 @@ class TreeState(BatchedState):
             size = largest(np.abs(basis).T.dot(np.abs(forces))) + kinematics.weight
             if missed > AGREEMENT * size:
                 loose = kinematics.moving_joints(basis @ kinematics.actuation.right[kinematics.actuation.rank :].T)
-                expected = "forces that the actuators can balance"
+                expected = "actuators that balance the forces"
                 cause = "Fewer actuators than freedoms, or a singular configuration: see mobility"
-                raise ArgumentError("forces", expected, f"forces that would move {', '.join(loose[:4])}", cause)
+                raise ArgumentError("actuated", expected, f"forces that would move {', '.join(loose[:4])}", cause)
         return tau
 
     def _forces(self, tau: FloatArray, frames: list[int], loads: tuple[FloatArray, ...]) -> FloatArray:
@@ -383,6 +383,6 @@ class LoopState(TreeState):
             raise ArgumentError("wrenches", expected, type(wrenches).__name__)
         meaning = "(f, m) in N and N m in the axes of the world"
         arrays = {f"wrenches[{name!r}]": value for name, value in wrenches.items()}
-        return [self._frame(name) for name in wrenches], {
+        return [frame_index(self._chain.model, name, "wrenches") for name in wrenches], {
             argument: read_vectors(value, argument, 6, meaning) for argument, value in arrays.items()
         }

@@ -274,16 +274,17 @@ class StateKinematics:
         return np.asarray(half + np.triu(half, 1).T)
 
     def energies(self, v: FloatArray) -> tuple[float, float]:
-        """Return the kinetic and the potential energy of the bodies [J]."""
-        kinetic = pin.computeKineticEnergy(self.model, self.data, self.q, v)
+        """Return the kinetic energy, that of armatures included, and the potential energy [J]."""
+        # computeKineticEnergy of Pinocchio 4.1 leaves out armatures of hinges along no axis of their frames.
+        kinetic = 0.5 * v.dot(self.mass_matrix().dot(v))
         return float(kinetic), float(pin.computePotentialEnergy(self.model, self.data, self.q))
 
     def check_closed(self, v: FloatArray | None = None, argument: str = "v") -> None:
         """Raise unless q is closed and v keeps it so, to `AGREEMENT`."""
         if not self.widest_gap <= AGREEMENT:
-            gaps, _, loop = LoopKinematics(self.rows).open_closures(self.q)
+            gap, unit, loop = LoopKinematics(self.rows).widest(self.q)
             cause = f"The widest is {loop}. Rounded or guessed joint values? {self.remedy}"
-            raise ClosureError(float(gaps.max(initial=0.0)), 0, cause, loop)
+            raise ClosureError(gap, 0, cause, loop, unit)
         if v is not None and v is not self.zero_velocity and not self.is_admissible(v):
             expected, received = "joint velocities that keep the loops closed", "velocities that open them"
             raise ArgumentError(argument, expected, received, "joint_rates makes them from rates of the actuators")
@@ -341,14 +342,14 @@ class StateKinematics:
         return np.asarray(least + basis.dot(free))
 
 
-def frame_index(model: Any, name: str) -> int:
+def frame_index(model: Any, name: str, argument: str = "frame") -> int:
     """Return the index of a frame of a model, or raise `ArgumentError`."""
     frame = find_frame(model, name) if isinstance(name, str) else None
     if frame is None:
         names = [frame.name for frame in model.frames]
         close = difflib.get_close_matches(str(name), names, n=3)
         cause = f"Did you mean {' or '.join(map(repr, close))}?" if close else f"Frames are {', '.join(names[:12])}"
-        raise ArgumentError("frame", "the name of a frame of the model", repr(name), cause)
+        raise ArgumentError(argument, "the name of a frame of the model", repr(name), cause)
     return frame
 
 

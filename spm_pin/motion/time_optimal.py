@@ -28,8 +28,15 @@ from spm_pin.motion.least_time import Clock, LeastTime
 from spm_pin.motion.limited_jerk import EasedGrid, limited_jerk
 from spm_pin.motion.paths import LegPath, MotionLimits, MotionPath, PathDynamics, path_dynamics
 from spm_pin.motion.planning import MotionPlan
-from spm_pin.multibody.trajectory import JointTrajectory, PlatformPath, increasing_times
-from spm_pin.support.arguments import FloatArray, check_instance, real_array, real_number, whole_number
+from spm_pin.multibody.trajectory import JointTrajectory, PlatformPath
+from spm_pin.support.arguments import (
+    FloatArray,
+    check_instance,
+    increasing_times,
+    real_array,
+    real_number,
+    whole_number,
+)
 
 _Rows = tuple[tuple[FloatArray, FloatArray, FloatArray, FloatArray], FloatArray, RigidTransform]
 """Values, velocities, accelerations and efforts of the joints, readings, and poses."""

@@ -41,7 +41,7 @@ from spm_pin.multibody.closure_solvers import close_loops, follow_legs, follow_p
 from spm_pin.multibody.constrained_model import ConstrainedModel, TreeKinematics, read_vectors
 from spm_pin.multibody.mounting import MountedChain, mount
 from spm_pin.multibody.simulation import ForceFunction, Simulation, run_simulation
-from spm_pin.multibody.trajectory import JointTrajectory, PlatformMotion, PlatformPath, increasing_times, read_motion
+from spm_pin.multibody.trajectory import JointTrajectory, PlatformMotion, PlatformPath, read_motion
 from spm_pin.support.arguments import (
     FloatArray,
     IntArray,
@@ -49,6 +49,7 @@ from spm_pin.support.arguments import (
     check_function,
     check_instance,
     first_offender,
+    increasing_times,
 )
 from spm_pin.support.files import file_path
 from spm_pin.support.pose import PoseLike, as_rigid_transform

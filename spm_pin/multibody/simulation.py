@@ -12,7 +12,6 @@ from spm_pin.errors import ArgumentError
 from spm_pin.loops.forward_simulation import LoopMotion, SimulationEnd, simulate
 from spm_pin.multibody.closure_solvers import widest
 from spm_pin.multibody.constrained_model import ConstrainedModel, TreeKinematics, read_vectors
-from spm_pin.multibody.trajectory import increasing_times
 from spm_pin.support.arguments import FloatArray
 
 ForceFunction = Callable[[float, FloatArray, FloatArray], npt.ArrayLike]
@@ -77,7 +76,7 @@ def run_simulation(
             q,
             v,
             forces,
-            increasing_times(times),
+            times,
             wrenches=None if wrench is None else {constrained.platform: wrench},
             events=events,
             period=period,

@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform, RotationSpline
 
 from spm_pin.errors import ArgumentError, PoseError
 from spm_pin.machine.legs import LEGS
-from spm_pin.support.arguments import FloatArray, as_bool, frozen, real_array
+from spm_pin.support.arguments import FloatArray, as_bool, frozen, increasing_times, real_array
 from spm_pin.support.files import file_path, write_files
 from spm_pin.support.motion_table import POSITION, QUATERNION, TIME, table_text, write_table
 from spm_pin.support.pose import PoseLike, as_rigid_transform, pose
@@ -86,18 +86,6 @@ class PlatformPath:
         turn = rotation.as_matrix().reshape(*t.shape, 3, 3)
         twist, acceleration = speed * first, speed**2 * second + change * first
         return PlatformMotion(pose(place, rotation=turn), *(v.reshape(*t.shape, 6) for v in (twist, acceleration)))
-
-
-def increasing_times(times: npt.ArrayLike, *, least: int = 1) -> FloatArray:
-    """Read times (n,) [s], or raise `ArgumentError`."""
-    array = real_array(times, "times", (), "in seconds")
-    if array.ndim != 1 or array.size < least:
-        raise ArgumentError("times", f"times in seconds, shape (n,), at least {least}", f"shape {array.shape}")
-    backward = np.diff(array) <= 0.0
-    if backward.any():
-        first = int(np.flatnonzero(backward)[0])
-        raise ArgumentError("times", "increasing times", f"{array[first + 1]:g} after {array[first]:g}")
-    return array
 
 
 @dataclass(frozen=True)

@@ -224,6 +224,18 @@ def real_array(
     return finite_array(array, argument, trailing, meaning, allow_nan=allow_nan)
 
 
+def increasing_times(times: npt.ArrayLike, *, least: int = 1) -> FloatArray:
+    """Read times (n,) [s], or raise `ArgumentError`."""
+    array = real_array(times, "times", (), "in seconds")
+    if array.ndim != 1 or array.size < least:
+        raise ArgumentError("times", f"times in seconds, shape (n,), at least {least}", f"shape {array.shape}")
+    backward = np.diff(array) <= 0.0
+    if backward.any():
+        first = int(np.flatnonzero(backward)[0])
+        raise ArgumentError("times", "increasing times", f"{array[first + 1]:g} after {array[first]:g}")
+    return array
+
+
 def leg_values(
     value: npt.ArrayLike, argument: str, meaning: str, *, most: float, cause: str = "", count: int = 6
 ) -> FloatArray:

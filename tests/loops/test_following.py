@@ -17,7 +17,7 @@ from scipy.optimize import least_squares
 from spm_pin.errors import ArgumentError, ClosureError
 from spm_pin.loops import following
 from spm_pin.loops.closed_chain import ClosedChain
-from spm_pin.loops.closures import JointEquality
+from spm_pin.loops.closures import Anchor, JointEquality
 from spm_pin.loops.constraint_rows import LoopKinematics
 from tests.loops.robots import ROBOTS, ankle, at, closure, five_bar, four_bar, hinge, pose_of, stewart
 
@@ -168,6 +168,27 @@ def test_targets_that_stay_or_hardly_change(change: float, runner: str) -> None:
         assert_allclose(again, q, atol=1e-11)
 
 
+@pytest.mark.parametrize("runner", ["interpreted", "compiled"])
+def test_machine_of_a_millimetre_ten_metres_from_the_origin(runner: str) -> None:
+    """Its loops close to 1e-11 of their lengths only: the rest is rounding, which no step of Newton's makes smaller."""
+    large, random = five_bar(), np.random.default_rng(5)
+    model = large.model.copy()
+    for k in range(1, model.njoints):
+        model.jointPlacements[k].translation *= 1e-3
+        if not model.parents[k]:
+            model.jointPlacements[k].translation += [6.0, -7.0, 4.0]
+    loop = closure("point", "left_rod", at(0.3e-3), "right_rod", at(0.3e-3))
+    chain = ClosedChain(model, [loop], ["left", "right"], q0=large.q0)
+    if runner == "compiled":
+        chain.compile()
+    q, start = chain.close(), large.q0[large.actuated_in_q]
+    for change in 10.0 ** random.uniform(-16, -2, 40):
+        values = start + change * random.uniform(-1.0, 1.0, 2)
+        for _ in range(3):
+            q = chain.forward(values, q)
+            assert_allclose(q, large.forward(values, large.q0), atol=1e-10)
+
+
 def test_inverse_of_a_platform_is_that_of_forward() -> None:
     chain = stewart()
     goal = chain.forward(far_targets(chain, 1, 0.1)[0], chain.q0)
@@ -231,6 +252,32 @@ def test_open_start_is_refused() -> None:
     assert caught.value.residual == pytest.approx(0.35 * 2.0 * np.sin(0.05), rel=1e-6)
 
 
+@pytest.mark.parametrize(("unit", "slides"), [("m", True), ("rad", False)])
+def test_open_joint_equality_is_measured_in_its_own_unit(unit: str, slides: bool) -> None:
+    model = pin.Model()
+    hinge(model, "universe", "wheel", at())
+    hinge(model, "universe", "rack", at(), slides=slides)
+    chain = ClosedChain(model, (), ["wheel"], equalities=[JointEquality("rack", "wheel", (0.0, 2.0), name="mesh")])
+    for call, *arguments in (chain.forward, [0.0], [0.1, 0.1]), (chain.mobility, [0.1, 0.1]):
+        with pytest.raises(ClosureError, check=with_fields(residual=pytest.approx(0.1), unit=unit, loop="mesh")):
+            call(*arguments)
+
+
+def test_rows_that_depend_on_each_other_but_for_rounding_are_named() -> None:
+    """A planar loop of three equations, one link tilted by 1e-9 about itself: the tip leaves the plane as it turns."""
+    flat, model = four_bar("point"), pin.Model()
+    angle = flat.q0[2]
+    hinge(model, "universe", "crank", at())
+    hinge(model, "crank", "coupler", at(0.1))
+    hinge(model, "universe", "rocker", at(0.3, turned=(1e-9 * np.cos(angle), 1e-9 * np.sin(angle), 0.0)))
+    chain = ClosedChain(model, flat.closures, ["crank"], q0=flat.q0)
+    q = chain.close()
+    with pytest.raises(ClosureError) as caught:
+        chain.forward(q[:1] + 1.0, q)
+    assert "contradict" in caught.value.cause
+    assert "tip" in caught.value.cause
+
+
 def test_singular_start_is_said() -> None:
     # A parallelogram folded flat: coupler and rocker may part or not.
     model = pin.Model()
@@ -257,6 +304,11 @@ def test_copies_and_threads_answer_alike() -> None:
         results = list(pool.map(lambda k: chain.forward(targets[k::4], starts[k::4]), range(4)))
     for k, result in enumerate(results):
         assert_array_equal(result, expected[k::4])
+    follower = chain._follower(None, ())
+    with ThreadPoolExecutor(1) as pool:
+        own, other = (vars(problem) for problem in (follower.problem(), pool.submit(follower.problem).result()))
+    for name in ("driven_rates", "pose_turn", "pose_share", "drivers"):
+        assert own[name] is not other[name]
 
 
 def test_empty_batches_have_empty_results() -> None:
@@ -284,7 +336,7 @@ def test_wrong_arguments_are_named() -> None:
     for argument, call, *wrong in (
         *(("values", chain.forward, values, chain.q0) for values in ([0.1], [np.nan, 0.1], ["a", "b"])),
         ("values", chain.forward, np.zeros((3, 2)), np.zeros((2, 4))),
-        *(("rows", chain.inverse, "tip", pose, chain.q0, rows) for rows in ((0, 6), 3, None)),
+        *(("rows", chain.inverse, "tip", pose, chain.q0, rows) for rows in ((0, 6), 3, None, "x", (True, False))),
         ("frame", chain.inverse, None, pose, chain.q0, (0, 1)),
     ):
         with pytest.raises(ArgumentError, check=with_fields(argument=argument)):
@@ -294,6 +346,9 @@ def test_wrong_arguments_are_named() -> None:
     assert "tip" in caught.value.cause
     with pytest.raises(ArgumentError, check=with_fields(argument="closures", index="0")):
         ClosedChain(chain.model, [3], ["left"])  # type: ignore[list-item]
+    for closures, equalities in ((3, ()), ((), 3), ((), "a")):
+        with pytest.raises(ArgumentError, check=with_fields(argument="equalities" if equalities else "closures")):
+            ClosedChain(chain.model, closures, ["left"], equalities=equalities)  # type: ignore[arg-type]
     with pytest.raises(ArgumentError, check=with_fields(argument="actuated")) as caught:
         ClosedChain(chain.model, chain.closures, ["lift"])
     assert "left" in caught.value.cause
@@ -324,5 +379,10 @@ def test_numbers_that_describe_no_pose_and_no_polynomial_are_refused() -> None:
     scaled[3] = 1.0, 2.0, 3.0, 4.0
     with pytest.raises(ArgumentError, check=with_fields(argument="pose")):
         chain.inverse("foot", scaled, chain.q0)
-    with pytest.raises(ArgumentError, check=with_fields(argument="equalities")):
-        ClosedChain(chain.model, (), (), equalities=(JointEquality(*chain.actuated[:2], (np.nan, 1.0)),))
+    for wrong in ((np.nan, 1.0), 2.0, ("a",)):
+        with pytest.raises(ArgumentError, check=with_fields(argument="coefficients")):
+            JointEquality(*chain.actuated[:2], wrong)  # type: ignore[arg-type]
+    # Pinocchio multiplies an SE3 by a matrix column by column, as points.
+    for placement in (np.eye(4), pin.SE3(np.eye(3), np.full(3, np.nan)), pin.SE3(2.0 * np.eye(3), np.zeros(3))):
+        with pytest.raises(ArgumentError, check=with_fields(argument="placement")):
+            Anchor("foot", placement)

@@ -163,9 +163,11 @@ def test_bad_input_is_refused() -> None:
         ("q", q[None]),
         ("period", -1.0, 1e-300),
         ("tolerance", 1e-16),
-        ("events", [lambda q: 1.0]),
-        ("wrenches", [np.zeros(6)]),
+        ("events", [lambda q: 1.0], {"nan": lambda q: np.nan}, {"two": lambda q: q[:2]}),
+        ("wrenches", [np.zeros(6)], {"nowhere": np.zeros(6)}),
     ):
         for value in values:
             with pytest.raises(ArgumentError, check=with_fields(argument=argument)):
                 simulate(chain, **{**good, argument: value})
+    with pytest.raises(ArgumentError, check=with_fields(received="0.5 after 1")):
+        simulate(chain, **{**good, "times": [0.0, 1.0, 0.5]})

@@ -10,6 +10,7 @@ from loops.mechanisms import MAKERS, Array, admissible, ankle, mechanism, states
 
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
 from spm_pin.loops.closed_chain import ClosedChain
+from tests.loops.robots import add, at, hinge
 
 DRIVEN = [name for name in MAKERS if name != "Delta"]
 
@@ -215,7 +216,7 @@ def test_bad_input_is_refused() -> None:
         ("q", chain.state, q * np.nan),
         ("q", free.state, np.zeros(25)),
         ("tau", state.forward_dynamics, [1.0]),
-        ("frame", state.forward_dynamics, tau, {"nowhere": np.zeros(6)}),
+        ("wrenches", state.forward_dynamics, tau, {"nowhere": np.zeros(6)}),
         ("wrenches", state.forward_dynamics, tau, [1.0] * 6),
         ("wrenches", state.forward_dynamics, tau, {"roll": [1.0] * 5}),
         ("a", state.inverse_dynamics, np.ones(8)),
@@ -351,3 +352,26 @@ def test_a_compiled_batch_is_its_members() -> None:
     assert np.isnan(opened[2]).all()
     assert np.array_equal(opened[[0, 1, 3]], a[0][[0, 1, 3]])
     assert list(batch.failures) == [(2,)]
+
+
+def test_tree_without_loops_has_its_own_dynamics_and_energy() -> None:
+    """Kinetic energy includes the armature of a hinge along any axis."""
+    model = pin.Model()
+    hinge(model, "universe", "first", at())
+    add(model, "first", "second", at(0.3), pin.JointModelRevoluteUnaligned(np.array([0.0, 0.6, 0.8])))
+    model.armature[:] = 0.1, 0.2
+    chain, q, v, tau = (
+        ClosedChain(model, [], ["first", "second"]),
+        np.array([0.2, 0.4]),
+        np.array([1.0, 2.0]),
+        [3.0, 4.0],
+    )
+    state = chain.state(q, v)
+    assert state.gap().shape == (0,)
+    assert state.forward_dynamics(tau) == pytest.approx(pin.aba(model, model.createData(), q, v, np.array(tau)))
+    bodies = model.copy()
+    bodies.armature[:] = 0.0
+    kinetic = pin.computeKineticEnergy(bodies, bodies.createData(), q, v) + 0.5 * 0.1 + 0.5 * 0.2 * 4.0
+    assert state.energy().kinetic == pytest.approx(kinetic)
+    motion = chain.simulate(q, v, tau, [0.0, 0.2])
+    assert abs(motion.energy_error[-1]) <= 1e-8 * abs(motion.energy).max()
