@@ -55,20 +55,15 @@ def linuxcnc_configuration(machine: Manipulator | Stage) -> dict[str, str]:
         **common_values(machine, f"{known.name}_"),
         "name": known.name,
         "joints_meaning": f"0 to {count - 1} are the readings of the legs {', '.join(machine.legs.names)}",
-        "axes_meaning": known.meaning,
-        "includes": known.includes,
         "sources": ", ".join(name for name in known.sources if name.endswith((".c", ".h"))),
         "joints": count,
         "units": [_UNITS[unit][0] for unit in machine.legs.units],
-        "turns": known.turns,
         "coordinates": known.axes,
         "home": " ".join(_number(home.get(axis, 0.0)) for axis in "XYZABC"),
         "linear_velocity": f"{rates[~is_angle, 0].max():.4g}",
         "angular_velocity": f"{rates[is_angle, 0].max():.4g}",
         "axis_sections": list(zip(known.axes, *known.reached_box(), *rates.T, strict=True)),
         "joint_sections": [known.joint_section(joint) for joint in range(count)],
-        "feed": known.feed,
-        "blending": known.blending,
         "way": [list(zip(known.axes, map(_number, row), strict=True)) for row in known.way()],
     }
     kinds = ("kins.c", "kins.c"), (".ini", "machine.ini"), (".hal", "machine.hal")
@@ -140,16 +135,7 @@ class _Machine:
 
 
 class _Robot(_Machine):
-    name, axes, turns = "spm", "XYZABC", "XYZCBA"
-    meaning = "X Y Z is the centre o of the platform in {B}, and R = Rz(C) Ry(B) Rx(A) its rotation."
-    feed = "F is in millimetres per minute along X Y Z, and A B C turn meanwhile."
-    blending = "G64 P0.1"
-    includes = """\
-#include "spm_read_machine.h"
-
-/* halcompile makes a module of one source. The largest frame on the stack, 2.6 kB, is just above its warning. */
-#pragma GCC diagnostic ignored "-Wframe-larger-than="
-#include "spm_kinematics.c\""""
+    name, axes = "spm", "XYZABC"
 
     def __init__(self, machine: Any) -> None:
         self.machine, self.ends = machine, travel(machine)
@@ -178,11 +164,7 @@ class _Robot(_Machine):
 
 
 class _StageAlone(_Machine):
-    name, axes, turns = "stage", "ZAB", "ZAB"
-    meaning = "Z is the height of the platform's centre, and Rx(A) Ry(B) z its normal: A is the roll, B the pitch."
-    feed = "F is in degrees per minute: only A and B turn. G64 has no P, which is a tolerance of X Y Z."
-    blending = "G64"
-    includes = '#define STAGE_DOUBLE\n#include "stage_read_machine.h"'
+    name, axes = "stage", "ZAB"
 
     def __init__(self, stage: Any) -> None:
         self.machine, self.ends = stage, travel(stage)

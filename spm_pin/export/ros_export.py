@@ -177,8 +177,9 @@ def _checked_name(name: str, argument: str) -> str:
 
 def travel(machine: Machine) -> tuple[FloatArray, FloatArray]:
     """Return the smallest and largest readings, without limits those of a `_stroke` about the home."""
-    home, stroke = home_readings(machine) + machine.legs.offsets, _stroke(machine)
-    minimum, maximum = (machine.limits or machine.legs.free_limits).ends
+    legs, stroke = machine.legs, _stroke(machine)
+    home, (minimum, maximum) = home_readings(machine) + legs.offsets, machine.reading_limits
+    minimum = np.maximum(minimum, legs.least_readings + legs.offsets)
     low = np.where(np.isfinite(minimum), minimum, home - stroke)
     return low, np.minimum(maximum, np.maximum(low, home) + stroke)
 

@@ -1,3 +1,4 @@
+{% import "linuxcnc/axes.jinja" as of_axes with context %}
 /* Kinematics module of a {{title}} for LinuxCNC 2.9.
 
    {{origin}}
@@ -6,7 +7,7 @@
    The module that halcompile makes of it with LinuxCNC's headers is under LinuxCNC's licence, GPL-2.0-or-later.
 
    Joints {{joints_meaning}}.
-   {{axes_meaning}}
+   {{of_axes.meaning}}
    Lengths are in millimetres, angles in degrees.
 
    Install: sudo halcompile --install {{name}}kins.c, with {{sources}} beside it.
@@ -17,7 +18,16 @@
    in `world` is not needed. Where it has no solution the state is lost, and the inverse displacement is refused
    until the forward one, begun anew, finds one: without this LinuxCNC would command the joints of an old pose. */
 
-{{includes}}
+{% if name == "spm" %}
+#include "spm_read_machine.h"
+
+/* halcompile makes a module of one source. The largest frame on the stack, 2.6 kB, is just above its warning. */
+#pragma GCC diagnostic ignored "-Wframe-larger-than="
+#include "spm_kinematics.c"
+{% else %}
+#define STAGE_DOUBLE
+#include "stage_read_machine.h"
+{% endif %}
 
 #include <hal.h>
 #include <kinematics.h>
