@@ -65,6 +65,8 @@ _MODE_TOLERANCE = 1e-7
 """Distance of balls, over d, from those of the readings in the mode of `near`, above which a search has left it."""
 _FREE_FEW, _SEED = 22, 20_140_131
 """Number of states of each stage, of which all pairs are considered as starts without leg limits, and their seed."""
+_STATE = "rotation", "translation", "middle_joints"
+"""Arrays that make a configuration."""
 _OFF_THE_EDGE = 1e-5
 """Step in the coordinates away from where two branches meet: there rounding decides whether they are real."""
 
@@ -431,9 +433,14 @@ def _nearest_within(
     joints, targets = machine.platform_joints, _joint_positions(machine, matrices)
     if near is None:
         states = states_within(machine, limits)
+        solved = reachable(machine, as_rigid_transform(matrices), limits).configuration
+        left = np.flatnonzero(~solved.exists)
+        if not len(left):
+            return solved
         pairs, places = states.pairs(states.few, joints)
-        ends = [nearest_state(states, target, _starts(pairs, places, target), joints) for target in targets]
-        return states.states(np.array(ends).reshape(-1, 2, 3))  # type: ignore[no-any-return]
+        ends = [nearest_state(states, target, _starts(pairs, places, target), joints) for target in targets[left]]
+        found = states.states(np.array(ends))
+        return _replaced(solved, left, *(getattr(found, name) for name in _STATE))
     states, start = states_around(near, limits)
     result = nearest_states(states, targets, np.broadcast_to(start, (len(targets), 1, 2, 3)), joints)
     if states.aspects == (HOME_ASPECT, HOME_ASPECT):
@@ -486,9 +493,13 @@ def _nearest_real(machine: Manipulator, matrices: FloatArray, branch: str, near:
     sides = [states.states(coordinates + sign * step) for sign in (1.0, -1.0)]
     with np.errstate(invalid="ignore"):  # a step off the edge that leads nowhere is NaN
         wanted = branch_sign(sides[0]) * (1.0 if branch[2] == "+" else -1.0) > 0.0
-    arrays = []
-    for name in ("rotation", "translation", "middle_joints"):
-        array, (first, second) = np.array(getattr(solved, name)), (getattr(side, name) for side in sides)
-        array[left] = np.where(wanted.reshape(-1, *(1,) * (first.ndim - 1)), first, second)
-        arrays.append(array)
-    return Configuration.from_arrays(machine, *arrays)
+    both = ([getattr(side, name) for side in sides] for name in _STATE)
+    return _replaced(solved, left, *(np.where(wanted.reshape(-1, *(1,) * (a.ndim - 1)), a, b) for a, b in both))
+
+
+def _replaced(states: Configuration, index: IntArray, *arrays: FloatArray) -> Configuration:
+    """Return states (N,) of which those at `index` have these `arrays`, see `_STATE`."""
+    whole = [np.array(getattr(states, name)) for name in _STATE]
+    for array, values in zip(whole, arrays, strict=True):
+        array[index] = values
+    return Configuration.from_arrays(states.machine, *whole)

@@ -56,6 +56,22 @@ def test_a_reachable_pose_is_its_own_nearest(limits):
     assert nearest_reachable_pose(PAPER, START.pose, limits).distance < 1e-8
 
 
+def test_reachable_poses_of_a_tiny_platform_are_returned_as_they_are() -> None:
+    """A search ends some 1e-6 of the machine beside them."""
+    legs = spm.RPS(), spm.RRS(crank=1.7, rod=2.3, sign=1)
+    limits = spm.LegLimits.stages((2.1, 2.9), (2.0, 2.8))
+    machine = spm.Manipulator(0.6, 0.03, 1.5, limits, legs=legs)
+    poses = spm.workspace.sample_reachable(machine, 6, rng=1).pose
+    found = nearest_reachable_pose(machine, poses)
+    np.testing.assert_array_equal(found.distance, 0.0)
+    beside = moved(poses[0], [3.0, 0.0, 0.0], [0.0, 0.0, 0.0])
+    both = nearest_reachable_pose(
+        machine, spm.pose(np.stack([p.translation for p in (poses[0], beside)]), rotation=poses[0].rotation)
+    )
+    np.testing.assert_array_equal(both.distance > 0.0, [False, True])
+    np.testing.assert_array_equal(both.configuration.limit_excess, 0.0)
+
+
 def test_a_batch_has_the_results_of_its_members():
     targets = spm.pose(
         [target.translation for target in random_targets(4)],
