@@ -35,6 +35,8 @@ LARGEST_RATE = 1e100
 """Velocity, acceleration or power at which a run ends: SciPy's step control loops for ever on infinite ones."""
 SHORTEST_PERIOD = 1e-7
 """Shortest period that is accepted, as a share of the run: more steps would not end."""
+SHORTEST_STEP = 1e-12
+"""Step, as a share of a period or of the run, at which a run ends if its rates cannot be computed within it."""
 CLOSING_STEPS = 10
 """Newton's steps back onto the closures; one is the rule."""
 CLOSED = 1e-14
@@ -220,6 +222,9 @@ class _UnboundedRateError(Exception):
     """Velocities, accelerations or power are too large to be integrated."""
 
 
+_ENDS = (_UnboundedRateError, ClosureError, SingularConfigurationError)
+
+
 class _Run:
     """Integrates the motion of a chain and records it; a vector y is q, v and the work done."""
 
@@ -329,12 +334,24 @@ class _Run:
                 raise _UnboundedRateError("velocities, accelerations or power above 1e100")
             return rates
 
-        waiting = 0
+        waiting, shortest = 0, SHORTEST_STEP * (span[1] - span[0])
+        options: dict[str, Any] = {"rtol": self._tolerance, "atol": self._tolerance}
         try:
-            solver = DOP853(rate, span[0], y, span[1], rtol=self._tolerance, atol=self._tolerance)
+            try:
+                solver = DOP853(rate, span[0], y, span[1], **options)
+            except _ENDS:
+                # The place from which the solver estimates a first step is too far away.
+                solver = DOP853(rate, span[0], y, span[1], first_step=shortest, **options)
             while solver.status == "running":
-                # It returns a message where its status becomes "failed".
-                if solver.step() is not None:
+                try:
+                    failure = solver.step()
+                except _ENDS:
+                    # Places within a step that is too long may be beyond an end, as where a force sets in.
+                    solver.h_abs = 0.1 * min(solver.h_abs, span[1] - solver.t)
+                    if solver.h_abs < shortest:
+                        raise
+                    continue
+                if failure is not None:
                     self.detail = "no step is short enough"
                     return y, SimulationEnd.STALLED
                 # The interpolant of DOP853 belongs to the step before its end is projected onto the closures.

@@ -13,7 +13,10 @@ from loops.mechanisms import MAKERS, Array, mechanism, states
 from scipy.integrate import solve_ivp
 
 from spm_pin.errors import ArgumentError
+from spm_pin.loops.closed_chain import ClosedChain
+from spm_pin.loops.closures import ClosureKind
 from spm_pin.loops.forward_simulation import SimulationEnd, simulate
+from tests.loops.robots import four_bar
 
 
 @pytest.mark.parametrize("name", MAKERS)
@@ -171,3 +174,18 @@ def test_bad_input_is_refused() -> None:
                 simulate(chain, **{**good, argument: value})
     with pytest.raises(ArgumentError, check=with_fields(received="0.5 after 1")):
         simulate(chain, **{**good, "times": [0.0, 1.0, 0.5]})
+
+
+@pytest.mark.parametrize(("kind", "force"), [("hinge", 1e3), ("planar", 1e5)])
+def test_force_that_sets_in_after_a_rest_is_met_by_shorter_steps(kind: ClosureKind, force: float) -> None:
+    """At rest steps are long; the first within which the crank is driven leads to places with open or no loops."""
+    linkage = four_bar(kind)
+    model = linkage.model.copy()
+    model.gravity.linear = np.zeros(3)
+    chain = ClosedChain(model, linkage.closures, ["crank"], q0=linkage.q0)
+    q, times = chain.close(), [0.0, 1.02]
+    motion = simulate(chain, q, np.zeros(3), lambda t, q, v: [force if t >= 1.0 else 0.0], times, tolerance=1e-6)
+    assert motion.complete
+    # Work is force times angle: the crank turns about its axis alone.
+    turned = motion.q[-1, 0] - motion.q[0, 0]
+    assert motion.energy[-1] - motion.energy[0] == pytest.approx(force * turned, rel=1e-4)
