@@ -8,17 +8,15 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
-from PIL import Image
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.display import draw, stage_figure
+from spm_pin.display import draw
 from spm_pin.machine import PRS, RRS, RealMachine, StageConfiguration, gallery
 from spm_pin.workspace import ReachEnd
 
@@ -235,14 +233,13 @@ def picture() -> Figure:
     for ax, (name, entry) in zip(axes.flat, gallery().items(), strict=True):
         if len(entry.stages) == 2:
             machine = spm.Manipulator.of_stages(*entry.stages)
-            draw(spm.forward_physical(machine, [1.2, 1.25, 1.3, 1.3, 1.25, 1.2]), ax=ax, labels=False)
+            state: spm.Configuration | StageConfiguration = spm.forward_physical(
+                machine, [1.2, 1.25, 1.3, 1.3, 1.25, 1.2]
+            )
         else:
             tilt = min(np.radians(10.0), spm.workspace.reach(entry.stage, entry.height).all_round[0] / 2.0)
-            alone = stage_figure(spm.inverse_physical(entry.stage, entry.height, tilt=tilt, azimuth=0.5))
-            for text in list(alone.axes[0].texts):
-                text.remove()
-            alone.savefig(drawn := BytesIO(), dpi=120)
-            ax.imshow(Image.open(drawn))
+            state = spm.inverse_physical(entry.stage, entry.height, tilt=tilt, azimuth=0.5)
+        draw(state, ax=ax, labels=False)
         ax.axis("off")
         ax.set_title(name.replace("-ball-", "-ball-\n"), fontsize=8)
     return figure

@@ -127,10 +127,10 @@ class Machine(ABC):
             kind, low, high = legs.kinds[leg // 3], limits.minimum[leg], limits.maximum[leg]
             received = f"[{low:g}, {high:g}] for {name}"
             # A minimum of zero stays when a calibration gives the leg an offset.
-            if isinstance(kind, RPS) and (low < min(0.0, legs.offsets[leg]) or high <= legs.offsets[leg]):
-                cause = f"Readings exceed the lengths by the leg's offset, {legs.offsets[leg]:g} m"
-                expected = "limits of lengths, 0 <= minimum < maximum, in metres"
-                raise GeometryError("limits", expected, received, cause if legs.offsets[leg] else "")
+            if isinstance(kind, RPS) and low < min(0.0, legs.offsets[leg]):
+                offset, expected = legs.offsets[leg], "limits of lengths, 0 <= minimum < maximum, in metres"
+                cause = f"Readings exceed the lengths by the leg's offset, {offset:g} m" if offset else ""
+                raise GeometryError("limits", expected, received, cause)
             if kind.unit == "rad" and ends[:, leg].max() > MOST_TURNED:
                 raise GeometryError("limits", f"angles in radians, within ±{MOST_TURNED:g}", received, "In degrees?")
             if kind.unit == "rad" and is_beyond_turn[:, leg].any():

@@ -28,7 +28,7 @@ def test_readings_of_some_lengths_are_limits(offset: float, limits: tuple[float,
     assert machine.limits.contains(readings) == (limits[0] <= 0.5 + offset <= limits[1])
 
 
-@pytest.mark.parametrize(("offset", "limits"), [(-0.5, (-0.6, 0.3)), (0.0, (-0.1, 0.3)), (0.5, (0.2, 0.4))])
+@pytest.mark.parametrize(("offset", "limits"), [(-0.5, (-0.6, 0.3)), (0.0, (-0.1, 0.3)), (0.5, (-0.2, 0.9))])
 def test_readings_of_no_length_are_refused(offset: float, limits: tuple[float, float]) -> None:
     with pytest.raises(spm.GeometryError, check=with_fields(argument="limits")):
         dataclasses.replace(with_offset(offset), limits=limits)
