@@ -431,7 +431,7 @@ def _nearest_within(
     joints, targets = machine.platform_joints, _joint_positions(machine, matrices)
     if near is None:
         states = states_within(machine, limits)
-        solved = reachable(machine, as_rigid_transform(matrices), limits).configuration
+        solved = check_configuration(reachable(machine, as_rigid_transform(matrices), limits).configuration)
         left = np.flatnonzero(~solved.exists)
         if not len(left):
             return solved
