@@ -222,6 +222,11 @@ def reachable_volume(
         Spacing of the coarser grid for "mesh" [m], see `reachable_boundary`.
     rng : Generator or int, optional
         Source of randomness, or its seed.
+
+    Notes
+    -----
+    Positions are reachable to a billionth of the machine's size, as in `reachable_position`, which adds to the volume
+    for limits nearly as narrow.
     """
     check_manipulator(machine, for_stage="For a stage see spm_pin.workspace.pose_volume, of heights and normals")
     if choice(method, "method", ("sampling", "mesh")) == "mesh":
