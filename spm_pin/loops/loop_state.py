@@ -198,6 +198,10 @@ class LoopState(TreeState):
         super().__init__(chain, StateKinematics(chain))
         self.update(q, v)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # A copy has kinematics of its own: it moves without this state.
+        return type(self), (self._chain, self._q, self._v)
+
     def gap(self) -> FloatArray:
         """Return the residual of each row of the closures and joint equalities [m, rad], shape (..., m)."""
         return self._each_member(lambda: self.kinematics.residual[: self._rows].copy(), (self._rows,))

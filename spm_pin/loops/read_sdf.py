@@ -79,8 +79,10 @@ class _Sdf:
             check_unique([self._name(node) for node in model.findall(tag)], tag, where)
         if not self.links:
             raise DescriptionError(where, "a model with links", "none")
-        own = self._read_pose(model.find("pose"), f"{where}, model")
-        self.poses: dict[str, Any] = {"__model__": pin.SE3.Identity(), "world": own.inverse()}
+        self.poses: dict[str, Any] = {"__model__": pin.SE3.Identity()}
+        # The pose of the model is that of its placement frame, by default of the model's own frame.
+        placed = self.pose(model.get("placement_frame") or "__model__")
+        self.poses["world"] = placed * self._read_pose(model.find("pose"), f"{where}, model").inverse()
         self.ends = {name: tuple(self._end(name, tag) for tag in ("parent", "child")) for name in self.joints}
 
     def _name(self, node: Element) -> str:
@@ -117,8 +119,9 @@ class _Sdf:
         node = next((table[name] for table in (self.links, self.joints, self.frames) if name in table), None)
         at = f"{self.where}, pose of {name!r}"
         if node is None or name in above:
-            received = "a ring of poses" if above and name in above else f"{name!r} as the frame of {above[-1:]}"
-            raise DescriptionError(at, "a link, joint or frame of the model", received)
+            owner = f", pose of {above[-1]!r}" if above else ""
+            received = "a ring of poses" if name in above else repr(name)
+            raise DescriptionError(f"{self.where}{owner}", "a link, joint or frame of the model", received)
         own = node.find("pose")
         default = "__model__"
         if node.tag == "joint":

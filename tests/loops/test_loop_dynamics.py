@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
+from collections.abc import Callable
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -10,6 +14,7 @@ from loops.mechanisms import MAKERS, Array, admissible, ankle, mechanism, states
 
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
 from spm_pin.loops.closed_chain import ClosedChain
+from spm_pin.loops.loop_state import LoopState
 from tests.loops.robots import add, at, hinge
 
 DRIVEN = [name for name in MAKERS if name != "Delta"]
@@ -375,3 +380,16 @@ def test_tree_without_loops_has_its_own_dynamics_and_energy() -> None:
     assert state.energy().kinetic == pytest.approx(kinetic)
     motion = chain.simulate(q, v, tau, [0.0, 0.2])
     assert abs(motion.energy_error[-1]) <= 1e-8 * abs(motion.energy).max()
+
+
+@pytest.mark.parametrize("name", ["ankle", "weld and gear"])
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda state: pickle.loads(pickle.dumps(state))])
+def test_copy_of_a_state_moves_alone(name: str, copied: Callable[[LoopState], LoopState]) -> None:
+    chain, ((q, v), (other, _), *_) = mechanism(name), states(name)
+    state = chain.state(q, v)
+    own, tau = copied(state), np.ones(len(chain.actuated))
+    expected = state.forward_dynamics(tau).copy()
+    assert np.array_equal(own.forward_dynamics(tau), expected)
+    own.update(other)
+    assert np.array_equal(state.constraint_jacobian(), chain.state(q).constraint_jacobian())
+    assert np.array_equal(state.forward_dynamics(tau), expected)

@@ -13,10 +13,11 @@ from loops.damaged_files import count_refused
 
 from spm_pin.description import SDF_PATH, URDF_PATH, sdf_text
 from spm_pin.errors import DescriptionError
+from spm_pin.loops.closed_chain import ClosedChain
 from spm_pin.loops.closures import JointEquality, RobotDescription
 from spm_pin.loops.read_sdf import read_sdf
 from spm_pin.loops.read_urdf import read_urdf
-from tests.loops.robots import ends_of
+from tests.loops.robots import ends_of, pose_of
 
 CASSIE = ("cassie", "cassie_reduced", "cassie_simple", "cassie_v2", "cassie_wo_gearbox_spring")
 LINKS = "".join(f'<link name="{name}">{{{name}}}</link>' for name in ("base", "crank", "coupler", "rocker"))
@@ -243,3 +244,22 @@ def test_faults_are_named(text: str, expected: str) -> None:
 def test_without_any_of_its_elements_a_file_is_read_or_refused() -> None:
     refused, count = count_refused(read_sdf, sdf_text(), 60)
     assert 0 < refused < count
+
+
+def test_pose_of_a_model_is_that_of_its_placement_frame() -> None:
+    frame = "<frame name='grip' attached_to='arm'><pose>0.1 0.2 0.3 0.4 0.5 0.6</pose></frame>"
+    links = "<link name='base'/><link name='arm'><pose>1 0 0 0 0 1</pose></link>"
+    joints = "<joint name='foot' type='fixed'><parent>world</parent><child>base</child></joint>"
+    joints += "<joint name='hinge' type='revolute'><parent>base</parent><child>arm</child><axis/></joint>"
+    text = f"<sdf version='1.9'><model name='m' placement_frame='grip'><pose>3 2 1 0.3 0.2 0.1</pose>{links}{frame}"
+    chain = ClosedChain.from_sdf(f"{text}{joints}</model></sdf>", actuated=["hinge"])
+    arm, grip, pose = (
+        pin.SE3(pin.rpy.rpyToMatrix(*angles), np.array(place))
+        for place, angles in (
+            ([1.0, 0.0, 0.0], (0.0, 0.0, 1.0)),
+            ([0.1, 0.2, 0.3], (0.4, 0.5, 0.6)),
+            ([3.0, 2.0, 1.0], (0.3, 0.2, 0.1)),
+        )
+    )
+    assert (pose_of(chain.model, np.zeros(1), "arm") * grip).isApprox(pose, 1e-12)
+    assert pose_of(chain.model, np.zeros(1), "base").isApprox(pose * (arm * grip).inverse(), 1e-12)
