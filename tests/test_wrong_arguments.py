@@ -425,6 +425,7 @@ SLOW += (
     "export.linuxcnc_configuration",
     "export.write_linuxcnc",
     "export.ros_package",
+    "calibration.identify",
     "export.c_sources",
     "export.write_c",
     "export.write_ros",

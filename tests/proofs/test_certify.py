@@ -134,7 +134,7 @@ def test_boxes_contain_the_values_of_forty_digits(seed: int) -> None:
             assert mpmath.mpf(float(square.low)) <= length**2 <= mpmath.mpf(float(square.high))
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_limits_with_a_known_singularity_are_never_certified(seed: int) -> None:
     rng = np.random.default_rng(seed)
     size = rng.uniform(0.2, 1.0)

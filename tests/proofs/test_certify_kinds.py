@@ -10,6 +10,7 @@ from proofs.machines_within_errors import machine_within, readings_within
 import spm_pin as spm
 from spm_pin.kinematics.intervals import Interval, angle, cosine, sine
 from spm_pin.machine import PRS, RPS, RRS, Stage
+from spm_pin.proofs import stage_proof
 from spm_pin.proofs.certificate import stage_regions
 from spm_pin.proofs.stage_proof import region_coordinates
 
@@ -132,6 +133,18 @@ def test_limits_up_to_a_leg_s_own_singularity_do_not_certify() -> None:
     )
     assert not wide.holds
     assert wide.stages[0].bound == 0.0
+
+
+def test_boxes_in_which_a_leg_may_be_singular_are_not_proved_whatever_their_determinant_is() -> None:
+    stage = Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35))
+    (region,) = stage_regions(stage, spm.machine.StageLimits(-1.0, 2.5))
+    scale, boxes = stage_proof.edges(region), stage_proof.first_boxes(1)
+    for _ in range(4):
+        boxes = stage_proof.examine(region, scale, stage_proof.halves(boxes))
+    values = region.evaluate(*stage_proof.columns(stage_proof._ends(scale, boxes)))
+    singular = values.slope <= 0.0
+    assert (singular & (values.determinant.low > 0.0)).any()
+    assert (boxes["bound"][singular] == 0.0).all()
 
 
 def test_a_machine_is_judged_by_what_moves_it() -> None:

@@ -30,7 +30,7 @@ def overlap(first: Estimate, second: Estimate) -> bool:
 
 
 def test_two_methods_agree_on_the_volume() -> None:
-    sampled = reachable_volume(PAPER, NARROW, samples=1000, rng=1)
+    sampled = reachable_volume(PAPER, NARROW, samples=600, rng=1)
     meshed = reachable_volume(PAPER, NARROW, method="mesh", spacing=0.25)
     assert overlap(sampled, meshed)
     assert sampled.unit == meshed.unit == "m³"
@@ -42,8 +42,8 @@ def test_two_methods_agree_on_the_volume() -> None:
 
 def test_a_volume_scales_with_the_cube_of_the_machine() -> None:
     small = spm.Manipulator(0.1 * PAPER.base_radius, 0.1 * PAPER.platform_radius, 0.1 * PAPER.middle_side)
-    metres = reachable_volume(PAPER, NARROW, samples=150, rng=2)
-    tenth = reachable_volume(small, spm.LegLimits(0.12, 0.14), samples=150, rng=2)
+    metres = reachable_volume(PAPER, NARROW, samples=60, rng=2)
+    tenth = reachable_volume(small, spm.LegLimits(0.12, 0.14), samples=60, rng=2)
     assert tenth.value == pytest.approx(1e-3 * metres.value, rel=0.02)
 
 
@@ -75,9 +75,9 @@ def test_volumes_with_a_condition_are_shares_of_the_whole() -> None:
     def is_low(states: spm.Configuration) -> np.ndarray:
         return np.asarray(states.translation[:, 2] < 2.3)
 
-    whole = reachable_volume(PAPER, NARROW, samples=150, rng=1)
+    whole = reachable_volume(PAPER, NARROW, samples=60, rng=1)
     low, high = (
-        reachable_volume(PAPER, NARROW, samples=150, rng=1, where=where)
+        reachable_volume(PAPER, NARROW, samples=60, rng=1, where=where)
         for where in (is_low, lambda states: ~is_low(states))
     )
     # The level is one of the position: a point counts for one of them. Points that do not count widen the interval.

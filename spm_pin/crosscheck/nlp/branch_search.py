@@ -156,10 +156,11 @@ class IpoptSolver:
         for k, start in enumerate(starts):
             try:
                 ends[k] = np.asarray(self._solver(x0=start, p=pose, lbg=0.0, ubg=0.0)["x"]).ravel()
-            except SystemError as error:
-                # At times CasADi leaves the interrupt pending, and Python blames the next call for it.
-                if isinstance(error.__cause__, KeyboardInterrupt):
-                    raise error.__cause__ from None
+            except (SystemError, RuntimeError) as error:
+                # At times CasADi leaves an interrupt pending, and Python blames the next call for it, or makes an error
+                # of it that has its name at the end.
+                if isinstance(error.__cause__, KeyboardInterrupt) or str(error).rstrip().endswith("KeyboardInterrupt"):
+                    raise KeyboardInterrupt from None
                 raise
             status = str(self._solver.stats()["return_status"])
             if status in _INTERRUPTED:
