@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -69,6 +69,9 @@ class ConstrainedState(TreeState):
         self.kinematics: TreeKinematics
         super().__init__(constrained.loops, TreeKinematics(constrained))
         self._constrained = constrained
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _state, (type(self), self._constrained, self._q, self._v)
 
     def _read_q(self, q: npt.ArrayLike) -> FloatArray:
         return self._constrained.read_q(q)
@@ -139,6 +142,10 @@ class ConstrainedState(TreeState):
         if wrench is None:
             return [], {}
         return [self._constrained.platform_frame], {"wrench": read_vectors(wrench, "wrench", 6)}
+
+
+def _state(kind: type[ConstrainedState], constrained: ConstrainedModel, q: FloatArray, v: FloatArray) -> TreeState:
+    return kind(constrained).update(q, v)
 
 
 def _differences(constrained: ConstrainedModel, of_frame: Callable[[int], FloatArray]) -> FloatArray:

@@ -165,6 +165,10 @@ class ConstrainedModel:
         # It has copied the model.
         self.model = self.loops.model
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Pinocchio's constraints cannot be pickled.
+        return type(self), (self.model, self.closures, self.machine, self._prefix)
+
     def joint_indices(self, *names: str) -> IntArray:
         """Return the indices (n,) of joints among the mechanism's, with or without prefix."""
         place = {name.removeprefix(self._prefix): k for k, name in enumerate(self.names)}

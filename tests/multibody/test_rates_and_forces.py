@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 from typing import Any
 
 import numpy as np
@@ -58,3 +60,13 @@ def test_jacobians_and_forces_of_the_closed_form_in_every_family(name: str) -> N
         wrench = rng.normal(size=6) / scale
         error = np.linalg.norm(at.leg_forces(wrench) - spm.leg_forces(state, wrench))
         assert error <= rounding(robot, q, wrench, min(values.forward, conditions[0]))
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda state: pickle.loads(pickle.dumps(state))])
+def test_a_copy_of_a_state_moves_alone(copied: Any) -> None:
+    readings = np.array([1.2, 1.2, 1.4, 1.25, 1.2, 1.5])
+    start, end = chain().forward_kinematics([readings, 1.02 * readings])
+    state = chain().state(start)
+    moved = copied(state).update(end)
+    np.testing.assert_array_equal(state.inverse_jacobian(), chain().state(start).inverse_jacobian())
+    np.testing.assert_array_equal(moved.inverse_jacobian(), chain().state(end).inverse_jacobian())
