@@ -11,7 +11,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt
 
-.PHONY: demo test test-docs test-slow coverage bench lint kernels docs figures description clean
+.PHONY: demo test test-docs test-slow coverage bench lint docs figures description clean
 
 demo: $(VENV)/.demo
 	@mkdir -p build
@@ -20,10 +20,12 @@ demo: $(VENV)/.demo
 # A worker has one core: threads of OpenBLAS beside those of the others would wait for one another.
 test test-docs test-slow coverage: export OPENBLAS_NUM_THREADS := 1
 
-# Workers that begin together would each compile what they need first.
+# The linters run beside the tests, and their result is printed last: mypy has one thread.
 test: $(VENV)/.test
-	@$(MAKE) --no-print-directory --jobs=2 lint kernels
-	$(BIN)/python -m pytest $(PYTEST) -m "not slow and not documents"
+	@mkdir -p build
+	@$(MAKE) --no-print-directory lint >build/lint.txt 2>&1 & lint=$$!; \
+	$(BIN)/python -m pytest $(PYTEST) -m "not slow and not documents"; tests=$$?; \
+	wait $$lint; linted=$$?; cat build/lint.txt; exit $$((tests | linted))
 	@echo "Not run here: pages, examples and benchmarks (make test-docs), sweeps and long comparisons (make test-slow)"
 
 test-docs: $(VENV)/.test
@@ -45,9 +47,6 @@ lint: $(VENV)/.test
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
-
-kernels: $(VENV)/.test
-	@$(BIN)/python -c "import logging, spm_pin; logging.disable(); spm_pin.kinematics.compile_kernels()"
 
 # The documentation as a static site in build/site; `make figures` draws its figures anew,
 # but for those of the viewer, which need Chromium: docs/site/viewer_figures.py; and MuJoCo's, docs/site/engine_figure.py.
