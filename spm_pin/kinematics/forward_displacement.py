@@ -154,8 +154,8 @@ def forward_physical(machine: Any, readings: npt.ArrayLike, near: Any = None) ->
         Of shape (...). Without `near` the configuration in the home assembly region: all stages without
         torsion, on the sheet +, and reached from equal legs without a forward singularity. With `near` the end of the
         path on which its readings change to the given ones in a straight line, whatever its mode. `.exists` is
-        False, and everything NaN, if there is no such configuration, or if that path meets a forward
-        singularity or takes more than 250,000 steps of a stage.
+        False, and everything NaN, if there is no such configuration, if that path meets a forward singularity or takes
+        more than 250,000 steps of a stage, or if a leg with a rod ends in another working mode than the machine's.
 
     Raises
     ------
@@ -191,7 +191,8 @@ def forward_physical(machine: Any, readings: npt.ArrayLike, near: Any = None) ->
     state = _joined(machine, shape, balls, read)
     if not state.shape and not state.exists:
         origin = "the home" if near is None else "`near` in a straight line"
-        reason = f"with these readings no configuration is reached from {origin} without a forward singularity"
+        kinds = "forward" if legs.are_rps else "forward or leg"
+        reason = f"with these readings no configuration is reached from {origin} without a {kinds} singularity"
         state.missing_reason = f"{reason}. {unit_hint(machine, read) if near is None else ''}".rstrip(". ")
     return state
 

@@ -297,18 +297,20 @@ def make_follower(
         size = largest(change)
         if not size <= LONGEST:
             return False, q, jacobian, inverse, off, size, 0.5 * LONGEST / size
+        # A whole turn of a driven joint changes no other, and is a long step all the same.
+        extent = max(size, (end - done) * max(largest(problem.driven_rates), problem.pose_turn[0]))
         x += change
         tried, last = moved(problem, tried, end, change), max(size, 1e-300)
         if size > SHORT:
             change = -product(inverse, residual(problem, tried, end))
             if not largest(change) <= 0.5 * size:
-                return False, q, jacobian, inverse, off, size, 0.5
+                return False, q, jacobian, inverse, off, extent, 0.5
             x += change
             tried = moved(problem, tried, end, change)
         c, at_end, levers, turns = linearised(problem, tried, end)
         new, regular = left_inverse(at_end)
         if not regular:
-            return False, q, jacobian, inverse, off, size, 0.5
+            return False, q, jacobian, inverse, off, extent, 0.5
         converged, away = False, 0.0
         for _ in range(MOST_CORRECTIONS):
             change = -product(new, c)
@@ -334,13 +336,13 @@ def make_follower(
             else:
                 c = residual(problem, tried, end)
         if not converged:
-            return False, q, jacobian, inverse, off, size, 0.5
-        if size <= NOISE or len(x) == 0:
-            return True, tried, at_end, new, away, size, 4.0
+            return False, q, jacobian, inverse, off, extent, 0.5
+        if extent <= NOISE or len(x) == 0:
+            return True, tried, at_end, new, away, extent, 4.0
         safe, factor = safety(
             problem, q, done, end, x, size, jacobian, inverse, at_end, new, levers, turns, max(off, away)
         )
-        return safe, tried, at_end, new, away, size, factor
+        return safe, tried, at_end, new, away, extent, factor
 
     @jit
     def go_on(problem, q, jacobian, inverse, off):  # type: ignore[no-untyped-def]

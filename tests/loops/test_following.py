@@ -19,7 +19,7 @@ from spm_pin.loops import following
 from spm_pin.loops.closed_chain import ClosedChain
 from spm_pin.loops.closures import Anchor, JointEquality
 from spm_pin.loops.constraint_rows import LoopKinematics
-from tests.loops.robots import ROBOTS, ankle, at, closure, five_bar, four_bar, hinge, pose_of, stewart
+from tests.loops.robots import ROBOTS, ankle, at, closure, delta, five_bar, four_bar, hinge, pose_of, stewart
 
 
 @pytest.fixture(scope="module", params=ROBOTS)
@@ -124,6 +124,21 @@ def test_path_ends_before_a_fold() -> None:
     with pytest.raises(ClosureError, check=with_fields(loop="tip")) as caught:
         chain.forward([end + 1e-3], chain.q0)
     assert "No further" in caught.value.cause
+
+
+@pytest.mark.parametrize("runner", ["interpreted", "compiled"])
+def test_whole_turn_of_a_motor_is_a_long_way(runner: str) -> None:
+    # At the end of a whole turn all loops are closed with the other joints where they were.
+    turning, arms = four_bar(), delta()
+    if runner == "compiled":
+        turning.compile()
+    for turns in (1.0, -1.0, 2.0):
+        for more in (0.0, 1e-9):
+            q = turning.forward(turning.q0[:1] + 2.0 * np.pi * turns + more, turning.q0)
+            assert_allclose(q - turning.q0, [2.0 * np.pi * turns, -2.0 * np.pi * turns, 0.0], atol=4.0 * more + 1e-12)
+        values = arms.q0[arms.actuated_in_q] + [2.0 * np.pi * turns, 0.0, 0.0]
+        with pytest.raises(ClosureError, match="No further"):
+            arms.forward(values, arms.q0)
 
 
 def on_random_base(chain: ClosedChain, random: np.random.Generator, distance: float) -> Any:
