@@ -171,7 +171,8 @@ def singularities(state: StageConfiguration, least: float) -> StageSingularities
 
 def determinants(state: StageConfiguration) -> FloatArray:
     """Return numbers that are zero at forward and at inverse singularities, dimensionless, (..., 2)."""
-    return np.stack([np.linalg.det(_six_forces(state)), np.linalg.det(_inverse_matrices(state))], axis=-1)
+    with np.errstate(invalid="ignore"):  # missing states
+        return np.stack([np.linalg.det(_six_forces(state)), np.linalg.det(_inverse_matrices(state))], axis=-1)
 
 
 def stage_inverses(configuration: StageConfiguration) -> FloatArray:

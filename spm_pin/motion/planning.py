@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError, UnreachableError, sentence
+from spm_pin.formulas.planar_legs import MOST_TURNED
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_physical
 from spm_pin.kinematics.singularity_analysis import determinants
@@ -349,6 +350,8 @@ def _find_corners(
     legs, low, high = rules.machine.legs, np.minimum(start, goal), np.maximum(start, goal)
     # Around both by half of what a leg or its rod is long.
     low, high = (x + way * legs.circles(x)[1] / legs.largest_slopes for x, way in ((low, -0.5), (high, 0.5)))
+    most = np.where(np.array(legs.units) == "rad", MOST_TURNED, np.inf)
+    low, high = np.maximum(low, legs.offsets - most), np.minimum(high, legs.offsets + most)
     if rules.limits is not None:
         low, high = rules.limits.ends
     for k in range(tries):

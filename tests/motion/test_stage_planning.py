@@ -115,3 +115,10 @@ def test_wrong_arguments_are_named() -> None:
             call()
     with pytest.raises(ArgumentError, check=with_fields(argument="certificate")):
         spm.plan(stage, start, goal, certificate=spm.certify(STAGES["PRS"], (0.1, 0.15)))
+
+
+def test_the_search_stays_within_a_turn_of_the_cranks() -> None:
+    # Lengths of the rods beyond start and goal would be readings that no function takes.
+    stage = spm.Stage(0.062, 0.075, spm.RRS(crank=0.04, rod=0.085))
+    plan = spm.plan(stage, spm.inverse_physical(stage, height=0.09), [-6.2, 0.0, 0.0], tries=200)
+    assert not plan.exists
