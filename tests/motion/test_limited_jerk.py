@@ -96,7 +96,7 @@ def shooting_duration(path: LegPath, rate: float, acceleration: float, jerk: flo
 
 @pytest.mark.parametrize("path", [LINE, *(pytest.param(path, marks=pytest.mark.slow) for path in (POSES, CURVE))])
 def test_a_large_jerk_takes_no_longer_than_none(path: object) -> None:
-    options = {"leg_forces": 1500.0, "leg_rates": 0.6, "leg_accelerations": 5.0, "grid": 300, "period": 1e-2}
+    options = {"leg_forces": 1500.0, "leg_rates": 0.6, "leg_accelerations": 5.0, "grid": 1000, "period": 1e-2}
     fast, smooth = (spm.time_optimal(CHAIN, path, **options, leg_jerks=jerk) for jerk in (None, 1e6))  # type: ignore[arg-type]
     assert smooth.times[-1] == pytest.approx(fast.times[-1], rel=0.01)
 
