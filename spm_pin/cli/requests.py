@@ -160,7 +160,7 @@ class Request:
         return remarks
 
     def nearest(self) -> tuple[Any, str, float] | None:
-        """Return the nearest reachable pose, to a tenth of a micrometre and 1e-5 degrees; None without leg limits."""
+        """Return the nearest reachable pose, to 0.1 µm and 1e-5 degrees, and its distance; None without leg limits."""
         machine, unit = self.typed.machine, self.typed.unit
         if machine.limits is None:
             return None
@@ -256,12 +256,13 @@ class TiltRequest(Request):
         return [f"{sentence(reason)}."] * bool(reason) + [f"{BELOW}."] * is_below
 
     def nearest(self) -> tuple[Any, str, float] | None:
-        """Return the nearest tilt, rounded to a reachable one; of several, one with less tilt."""
+        """Return the nearest tilt, rounded to a reachable one, and its angle; of several, one with less tilt."""
         from spm_pin.workspace import nearest_reachable_pose
 
         unit = self.typed.unit
         with self._named():
-            nearest = nearest_reachable_pose(self.typed.machine, **self.arguments).configuration
+            found = nearest_reachable_pose(self.typed.machine, **self.arguments)
+        nearest: Any = found.configuration
         if not nearest.exists:
             return None
         tilt = max(math.floor(1e3 * math.degrees(nearest.tilt) - 0.1) / 1e3, 0.0)
@@ -276,7 +277,7 @@ class TiltRequest(Request):
         counts = states.exists & (states.limit_excess == 0.0).all(axis=-1)
         first = int(counts.argmax())
         text = f"--tilt {fixed(tilts.flat[first], 3)} --azimuth {fixed(azimuths.flat[first], 5)}"
-        return nearest, f"--height {unit.text(level, 1)} {text}{unit.option}", abs(level - wanted * unit.per_metre)
+        return nearest, f"--height {unit.text(level, 1)} {text}{unit.option}", math.degrees(found.distance)
 
 
 def request_of(machine: Any) -> type[Request]:

@@ -89,7 +89,8 @@ def nearest(pose: Request, typed: MachineInUnits) -> Report:
     Example: spm-pin stage nearest --base 80 --platform 90 --crank 50 --rod 110 --limits -35 70 --unit mm --tilt 40
 
     The distance is the root mean square displacement of the platform's three joints c_1, c_2, c_3: zero where the pose
-    itself can be reached. For a stage it is the difference of the heights, and the tilt is the nearest at this height.
+    itself can be reached. For a stage it is the angle between the normals, in degrees; a height that the stage does not
+    reach is first replaced by the nearest one.
     """
     reached = pose.nearest()
     if reached is None:
@@ -102,7 +103,8 @@ def nearest(pose: Request, typed: MachineInUnits) -> Report:
         name: lambda row, leg=leg: typed.text(row["readings"][leg], leg) for leg, name in enumerate(typed.names)
     }
     _, options, distance = reached
-    lines = [f"distance: {typed.unit.text(distance, 1)} {typed.unit}", f"pose: {options}", pose.hint()]
+    away = f"{distance:.3f}°" if typed.machine.is_stage else f"{typed.unit.text(distance, 1)} {typed.unit}"
+    lines = [f"distance: {away}", f"pose: {options}", pose.hint()]
     table = Table(f"Readings in {typed.heading}", readings, [record])
     return Report({**typed.content(), **record}, [table, *filter(None, lines)])
 

@@ -77,9 +77,14 @@ def test_the_nearest_tilt_of_a_stage_is_reached() -> None:
     done = run("stage", "nearest", *SIZES, *limits, "--height", "120", "--tilt", "40")
     assert done.returncode == 0
     options = done.stdout.partition("pose: ")[2].split()
-    assert run("stage", "inverse", *SIZES[:8], *limits, *options).returncode == 0
-    wanted = run("stage", "nearest", *SIZES, *limits, "--height", "120", "--tilt", "10", "--json")
-    assert json.loads(wanted.stdout)["tilt"] == pytest.approx(10.0, abs=1e-9)
+    reached = json.loads(run("stage", "inverse", *SIZES[:8], *limits, *options, "--json").stdout)["branches"][0]
+    tilt, azimuth = np.radians([reached["tilt"], reached["azimuth"]])
+    cosine = np.sin(tilt) * np.cos(azimuth) * np.sin(np.radians(40.0)) + np.cos(tilt) * np.cos(np.radians(40.0))
+    assert float(done.stdout.partition("distance: ")[2].partition("°")[0]) == pytest.approx(
+        np.degrees(np.arccos(cosine)), abs=0.01
+    )
+    wanted = json.loads(run("stage", "nearest", *SIZES, *limits, "--height", "120", "--tilt", "10", "--json").stdout)
+    assert (wanted["tilt"], wanted["distance"]) == (pytest.approx(10.0, abs=1e-9), 0.0)
 
 
 def test_a_stage_moves_between_tilts_by_their_options() -> None:

@@ -56,7 +56,7 @@ def test_what_is_not_reached_has_the_nearest_tilt() -> None:
     assert max(json.loads(nearest.stdout)["branches"][0]["readings"]) == pytest.approx(40.0, abs=0.01)
     forward = run("stage", "forward", *SIZES, "--readings", "100", "100", "100")
     assert forward.returncode == 5
-    assert "without a forward singularity. Assembly modes that are real are shown by --all." in forward.stdout
+    assert "without a forward or leg singularity. Assembly modes that are real are shown by --all." in forward.stdout
 
 
 @pytest.mark.parametrize("wanted", [("0", "0"), ("25", "60")])
