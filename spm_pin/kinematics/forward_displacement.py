@@ -117,7 +117,7 @@ def _modes_of_manipulator(machine: Manipulator, readings: FloatArray, below: Mod
     largest = np.asarray(families.max(axis=-1))
     modes = Configuration.from_arrays(machine, *state)
     if not shape and status == Status.UNREACHABLE:
-        modes.missing_reason = unit_hint(machine, readings)
+        modes.missing_reason = unit_hint(machine, _lengths(machine, readings))
     return SolutionSet(
         modes,
         ASSEMBLY_MODES,
@@ -193,8 +193,15 @@ def forward_physical(machine: Any, readings: npt.ArrayLike, near: Any = None) ->
         origin = "the home" if near is None else "`near` in a straight line"
         kinds = "forward" if legs.are_rps else "forward or leg"
         reason = f"with these readings no configuration is reached from {origin} without a {kinds} singularity"
-        state.missing_reason = f"{reason}. {unit_hint(machine, read) if near is None else ''}".rstrip(". ")
+        state.missing_reason = (
+            f"{reason}. {unit_hint(machine, _lengths(machine, read)) if near is None else ''}".rstrip(". ")
+        )
     return state
+
+
+def _lengths(machine: Machine, readings: FloatArray) -> FloatArray:
+    """Return readings that are lengths [m], zero in place of angles."""
+    return np.where(np.array(machine.legs.units) == "m", readings, 0.0)
 
 
 def states_of_stages(machine: Manipulator, readings: FloatArray) -> tuple[Configuration, tuple[int, int]]:

@@ -222,7 +222,8 @@ class ClosedChain:
 
         From one closed configuration `near` (nq,), the actuated joints move in proportion to the first member of
         `values`, and on to each from the one before, in C order. With several (..., nq), each member of the batch
-        starts from its own. A free base and joints that are held stay. `near` is by default `close()`.
+        starts from its own. A free base and joints that are held stay; limits of joints, which `model` has, do not
+        count. `near` is by default `close()`.
 
         It is in the assembly mode of the start; `spm_pin.loops.continuation` says for which joints this is proved.
 

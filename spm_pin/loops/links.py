@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -163,7 +164,9 @@ def describe(
     actuated = tuple(dict.fromkeys(actuated))
     for name in actuated:
         if not is_scalar(model, name):
-            raise DescriptionError(f"{source}, actuators", "a joint of one degree of freedom", repr(name))
+            close = difflib.get_close_matches(name, list(model.names)[1:])
+            cause = f"Did you mean {' or '.join(map(repr, close))}?" if close else ""
+            raise DescriptionError(f"{source}, actuators", "a joint of one degree of freedom", repr(name), cause)
     q0 = next(iter(configurations.values()), pin.neutral(model) if rest is None else rest)
     return RobotDescription(
         model, tuple(closures), tuple(equalities), actuated, q0.copy(), dict(configurations), source

@@ -51,3 +51,10 @@ def test_the_two_modes_beside_a_fold_are_listed_once_each(base_radius: float, re
     assert state.is_at_home
     again = spm.inverse_displacement(stage, float(state.height), normal=state.normal)["T"]
     np.testing.assert_allclose(again.readings, readings, rtol=0.0, atol=1e-14)
+
+
+def test_angles_of_cranks_are_no_lengths_in_another_unit() -> None:
+    stage = spm.Stage(0.062, 0.075, spm.RRS(crank=0.04, rod=0.085))
+    state = spm.forward_physical(stage, [3.0, 3.0, 3.0])
+    assert not state.exists
+    assert "metres" not in state.missing_reason
