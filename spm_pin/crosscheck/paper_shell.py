@@ -23,7 +23,7 @@ from spm_pin.machine import LEGS, Configuration, LegLimits, Manipulator
 from spm_pin.machine.manipulator import check_rps
 from spm_pin.support.arguments import FloatArray, IntArray, first_offender, frozen, type_and_value, whole_number
 from spm_pin.workspace.boundary import ClosedMesh
-from spm_pin.workspace.states import finite_limits
+from spm_pin.workspace.state_set import finite_limits
 
 FINEST = 2000
 """Increments of a varying leg, at most: 24 surfaces of four million vertices."""

@@ -20,7 +20,7 @@ from spm_pin.workspace.positions import (
     reachable_volume,
 )
 from spm_pin.workspace.stage_reach import ReachEnd, StageReach, best_height, height_range, home_height, reach
-from spm_pin.workspace.states import sample_reachable
+from spm_pin.workspace.state_set import sample_reachable
 
 __all__ = [
     "Boundary",

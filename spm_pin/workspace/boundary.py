@@ -40,7 +40,7 @@ from spm_pin.workspace.search import (
     search_states,
     start_table,
 )
-from spm_pin.workspace.states import StateSet, finite_limits, states_within
+from spm_pin.workspace.state_set import StateSet, finite_limits, states_within
 
 if TYPE_CHECKING:
     from trimesh import Trimesh

@@ -15,7 +15,7 @@ import numpy as np
 
 from spm_pin.support.arguments import FloatArray
 from spm_pin.workspace.search import SINGULARITY_MARGIN
-from spm_pin.workspace.states import StateSet
+from spm_pin.workspace.state_set import StateSet
 
 _RIM = 1.0 - 1e-12
 """Largest x² + y² of a stage at which a state is evaluated: derivatives by x and y are infinite at half a turn."""

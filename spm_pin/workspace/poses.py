@@ -50,7 +50,7 @@ from spm_pin.support.arguments import (
 from spm_pin.workspace.nearest_state import nearest_state
 from spm_pin.workspace.search import nearest_states
 from spm_pin.workspace.stage_reach import nearest_tilt
-from spm_pin.workspace.states import free_states, given_limits, states_around, states_within
+from spm_pin.workspace.state_set import free_states, given_limits, states_around, states_within
 
 S = TypeVar("S", Configuration, StageConfiguration)
 

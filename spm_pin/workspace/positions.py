@@ -36,7 +36,7 @@ from spm_pin.support.arguments import (
 from spm_pin.support.progress import shown_progress
 from spm_pin.workspace.boundary import FOR_STAGE, Boundary, reachable_boundary
 from spm_pin.workspace.search import Membership, nearest_points, search_states, start_table
-from spm_pin.workspace.states import StateSet, states_within
+from spm_pin.workspace.state_set import StateSet, states_within
 
 _OPTIMALITY_TOLERANCE = 1e-6
 """Violation of Eq. (1) of `docs/theory/reachable_set.md`, above which the search has not converged."""

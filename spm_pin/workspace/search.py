@@ -19,7 +19,7 @@ from scipy.spatial import ConvexHull
 from spm_pin.kinematics.batches import run_kernel
 from spm_pin.kinematics.kernels import RESOLUTION
 from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, Progress
-from spm_pin.workspace.states import CENTRE, StateSet
+from spm_pin.workspace.state_set import CENTRE, StateSet
 
 SINGULARITY_MARGIN = 1e-6
 """Smallest determinant of a stage, about 1 at home: closer to a forward singularity, rounding of the readings moves o

@@ -20,7 +20,7 @@ from spm_pin.export.stage_export import stage_machine_sources
 from spm_pin.machine import RRS, Stage, StageLimits
 from spm_pin.machine.joint_angles import joint_angles
 from spm_pin.proofs import certify
-from spm_pin.workspace.states import states_within
+from spm_pin.workspace.state_set import states_within
 
 LOW, HIGH = -2.0, 0.5
 SWINGING = Stage(0.05, 0.10, RRS(crank=0.04, rod=0.12), limits=(LOW, HIGH))

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 import spm_pin as spm
 from spm_pin.machine import LegLimits
 from spm_pin.workspace import leg_clearance, nearest_reachable_pose, pose_distance, reachable, reachable_position
-from spm_pin.workspace.states import StateSet, states_within
+from spm_pin.workspace.state_set import StateSet, states_within
 
 LIMITS = {"RPS": (1.1, 1.5), "PRS": (-0.5, 0.1), "RRS": (0.2, 1.2), "PRS hanging": (2.4, 3.0)}
 MACHINES = [

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 from spm_pin.workspace import nearest_reachable_pose, pose_distance
-from spm_pin.workspace.states import states_within
+from spm_pin.workspace.state_set import states_within
 
 PAPER = spm.Manipulator.paper()
 BUILT = PAPER.perturbed(3, length=5e-3, angle=5e-3)

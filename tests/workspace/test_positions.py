@@ -12,7 +12,7 @@ import spm_pin as spm
 from spm_pin.crosscheck.paper_shell import sample_positions_near_limits
 from spm_pin.workspace import reachable_position
 from spm_pin.workspace.search import nearest_points, start_table
-from spm_pin.workspace.states import states_within
+from spm_pin.workspace.state_set import states_within
 
 BUILT = PAPER.perturbed(3, length=5e-3, angle=5e-3)
 

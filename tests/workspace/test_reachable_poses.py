@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 from spm_pin.workspace import JointLimits, reachable, sample_reachable
-from spm_pin.workspace.states import pose_multiplicity, states_within
+from spm_pin.workspace.state_set import pose_multiplicity, states_within
 
 LIMITS = spm.LegLimits(1.1, 1.5)
 BUILT = PAPER.perturbed(1, length=0.02, angle=0.02)

@@ -8,7 +8,7 @@ from problems import PAPER
 
 import spm_pin as spm
 from spm_pin.machine.branch_of_state import FAMILIES, family
-from spm_pin.workspace.states import StateSet, free_states, states_within
+from spm_pin.workspace.state_set import StateSet, free_states, states_within
 
 BUILT = PAPER.perturbed(1, length=5e-3, angle=5e-3)
 

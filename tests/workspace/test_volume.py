@@ -19,7 +19,7 @@ from spm_pin.workspace.positions import (
     tilt_torsion,
 )
 from spm_pin.workspace.search import search_states
-from spm_pin.workspace.states import states_within
+from spm_pin.workspace.state_set import states_within
 
 NARROW = spm.LegLimits(1.2, 1.4)
 

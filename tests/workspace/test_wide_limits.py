@@ -10,7 +10,7 @@ import spm_pin as spm
 from spm_pin.workspace import pose_volume
 from spm_pin.workspace.positions import reachable_position, reachable_volume
 from spm_pin.workspace.search import search_states
-from spm_pin.workspace.states import states_within
+from spm_pin.workspace.state_set import states_within
 
 SMALL = spm.Manipulator(0.4, 0.4, 0.4)
 BOXES = [(0.8, 1.8), (0.6, 2.0), (0.3, 2.7), (1.2, 2.2)]
