@@ -255,8 +255,11 @@ class StateKinematics:
         size = 1.0 if rows is None else np.abs(rows * self.units).sum(axis=1).max(initial=0.0)
         if np.abs(moved).max() > DETERMINED * size:
             sigma = float(self.rates.sizes[-1]) if self.rates.rank < len(self.rates.sizes) else 0.0
-            joints = ", ".join(self.moving_joints(loose)[:4])
-            raise SingularConfigurationError("forward", sigma, cause=f"Not driven: {joints}")
+            joints = self.moving_joints(loose)[:4]
+            cause = f"Not driven: {', '.join(joints)}"
+            if any(self.model.joints[self.model.getJointId(name)].nq == 4 for name in joints):
+                cause += ". A rod with a ball at each end spins: write one of them as two hinges"
+            raise SingularConfigurationError("forward", sigma, cause=cause)
 
     def moving_joints(self, velocities: FloatArray) -> list[str]:
         """Return the names of the joints that move in any of the columns of velocities (nv, any)."""
