@@ -170,7 +170,7 @@ def store_path(store: str | os.PathLike[str]) -> Path:
 
 
 def read_plan(path: Path) -> SweepPlan:
-    """Return the plan of the sweep at `path`: `ArgumentError` if there is none, `StoreError` if it is damaged."""
+    """Return the plan of the sweep at `path`; `ArgumentError` without a store, `StoreError` for a damaged one."""
     with as_store_error(path, "definition"):
         file = path / "zarr.json"
         stored = json.loads(file.read_bytes())["attributes"].get("spm_pin_sweep") if file.exists() else None

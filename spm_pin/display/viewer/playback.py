@@ -107,7 +107,7 @@ class Playback:
 
 
 def demo_motion(start: Configuration) -> Playback | None:
-    """Return a small closed loop of readings without singularity or leg limit, followed; None if there is none."""
+    """Return the path of a small closed loop of readings that meets no singularity and no limit, or None."""
     angles = np.linspace(0.0, 2.0 * np.pi, _POINTS)[:, None]
     swing = (1.0 - np.cos(angles)) * (_ALONG + 0.5 * np.sin(2.0 * angles) * _ACROSS)
     times = np.linspace(0.0, _SECONDS, _POINTS)
