@@ -174,6 +174,7 @@ class Follower:
                 unknown[columns] = False
                 bases.append(joint.idx_q + np.arange(joint.nq))
         self._bases = np.concatenate(bases)
+        self._at_origin = np.tile(BASE_AT_ORIGIN, len(bases) - 1)
         self.frame = frame
         # Numbers of a target: a matrix (4, 4), or values.
         self._width = len(chain.actuated) if frame is None else 16
@@ -216,10 +217,11 @@ class Follower:
         if not len(targets):
             return results
         starts, k, status, done, steps = np.array(starts, order="C", ndmin=2), 0, 0, 1.0, 0
-        bases = starts[:, self._bases]
-        if self.frame is None:
-            # Loops do not depend on where free bases are; far from the origin they would be rounded more.
-            starts[:, self._bases] = np.tile(BASE_AT_ORIGIN, len(self._bases) // len(BASE_AT_ORIGIN))
+        if has_bases := len(self._bases) > 0:
+            bases = starts[:, self._bases]
+            if self.frame is None:
+                # Loops do not depend on where free bases are; far from the origin they would be rounded more.
+                starts[:, self._bases] = self._at_origin
         kernel = _kernel() if len(targets) > FEW else sys.modules.get(_KERNEL)
         if kernel is not None and (kernel.run.is_loaded or len(targets) > FEW):
             aims = np.array(targets, order="C").reshape(len(targets), self._width)
@@ -234,7 +236,8 @@ class Follower:
                     break
         if status:
             raise self.explained(results[k], k, status, done, steps, targets[k])
-        results[:, self._bases] = bases
+        if has_bases:
+            results[:, self._bases] = bases
         return results
 
     def compile(self) -> None:
