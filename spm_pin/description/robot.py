@@ -20,7 +20,7 @@ from spm_pin.support.arguments import FloatArray
 from spm_pin.support.pose import homogeneous
 
 _EPS = float(np.finfo(np.float64).eps)
-_CLOSED = 1e-13
+_CLOSED = 1e-14
 """Largest gap of a closed loop, over the size of the machine."""
 
 
