@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import threading
 from collections.abc import Sequence
@@ -17,7 +16,7 @@ from scipy.spatial.transform import RigidTransform
 
 from spm_pin.errors import ArgumentError, DescriptionError
 from spm_pin.loops.assembly import assemble
-from spm_pin.loops.closures import Closure, JointEquality, RobotDescription
+from spm_pin.loops.closures import Closure, JointEquality, RobotDescription, are_rigid
 from spm_pin.loops.constraint_rows import SCALAR_JOINTS, ConstraintRows, LoopKinematics
 from spm_pin.loops.following import Follower, Problem
 from spm_pin.loops.forward_simulation import LoopMotion, simulate
@@ -30,6 +29,7 @@ from spm_pin.support.arguments import (
     Kind,
     broadcastable,
     check_instance,
+    likely_names,
     name_sequence,
     real_array,
     type_and_value,
@@ -197,8 +197,7 @@ class ClosedChain:
 
     def _joint(self, name: str, argument: str) -> Any:
         if name not in self.joint_names:
-            close = difflib.get_close_matches(str(name), self.joint_names, n=3)
-            cause = f"Did you mean {' or '.join(map(repr, close))}?" if close else f"Its joints: {self.joint_names}"
+            cause = likely_names(name, self.joint_names, f"Its joints: {self.joint_names}")
             raise ArgumentError(argument, "names of joints", repr(name), cause)
         return self.model.joints[self.model.getJointId(name)]
 
@@ -367,10 +366,7 @@ def _matrices(pose: Any) -> FloatArray:
         return np.asarray(pose.homogeneous)
     matrix = pose.as_matrix() if isinstance(pose, RigidTransform) else pose
     matrices = real_array(matrix, "pose", (4, 4), "homogeneous matrices of poses in the world")
-    rotations = matrices[..., :3, :3]
-    products = rotations @ rotations.swapaxes(-1, -2) - np.eye(3)
-    is_rigid = np.abs(products).max(initial=0.0) <= 1e-9 and not (np.linalg.det(rotations) < 0.0).any()
-    if not is_rigid or (matrices[..., 3, :] != [0.0, 0.0, 0.0, 1.0]).any():
+    if not are_rigid(matrices):
         raise ArgumentError(
             "pose", "homogeneous matrices of rigid transforms", "other matrices", "Rotations that are rounded?"
         )

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from spm_pin.errors import ArgumentError
-from spm_pin.support.arguments import check_instance, choice, real_array, real_number
+from spm_pin.support.arguments import FloatArray, check_instance, choice, real_array, real_number
 
 ClosureKind = Literal["point", "hinge", "planar", "weld"]
 
@@ -24,9 +24,17 @@ class Anchor:
     def __post_init__(self) -> None:
         check_instance(self.frame, str, "frame")
         matrix = check_instance(self.placement, pin.SE3, "placement").homogeneous
-        # A comparison with NaN is false.
-        if not (np.abs(matrix[:3, :3] @ matrix[:3, :3].T - np.eye(3)).max() <= 1e-9 and np.isfinite(matrix).all()):
+        if not (np.isfinite(matrix).all() and are_rigid(matrix)):
             raise ArgumentError("placement", "a rigid transform of finite numbers", f"{matrix.tolist()}")
+
+
+def are_rigid(matrices: FloatArray) -> bool:
+    """Return whether homogeneous matrices (..., 4, 4) of finite numbers are rigid transforms."""
+    rotations = matrices[..., :3, :3]
+    products = rotations @ rotations.swapaxes(-1, -2) - np.eye(3)
+    if np.abs(products).max(initial=0.0) > 1e-9 or (np.linalg.det(rotations) < 0.0).any():
+        return False
+    return bool((matrices[..., 3, :] == [0.0, 0.0, 0.0, 1.0]).all())
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,7 +12,7 @@ import pinocchio as pin
 
 from spm_pin.errors import DescriptionError
 from spm_pin.loops.closures import Anchor, Closure, JointEquality, RobotDescription
-from spm_pin.support.arguments import FloatArray
+from spm_pin.support.arguments import FloatArray, likely_names
 
 JointKind = Literal["hinge", "slide", "ball", "free"]
 _ALIGNED = {"hinge": (pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ)}
@@ -164,8 +163,7 @@ def describe(
     actuated = tuple(dict.fromkeys(actuated))
     for name in actuated:
         if not is_scalar(model, name):
-            close = difflib.get_close_matches(name, list(model.names)[1:])
-            cause = f"Did you mean {' or '.join(map(repr, close))}?" if close else ""
+            cause = likely_names(name, list(model.names)[1:])
             raise DescriptionError(f"{source}, actuators", "a joint of one degree of freedom", repr(name), cause)
     q0 = next(iter(configurations.values()), pin.neutral(model) if rest is None else rest)
     return RobotDescription(

@@ -12,7 +12,6 @@ Rows may depend on each other. Z, whose columns span the velocities that the clo
 
 from __future__ import annotations
 
-import difflib
 import math
 import sys
 from functools import cached_property
@@ -28,7 +27,7 @@ from spm_pin.loops.constraint_rows import LoopKinematics
 from spm_pin.loops.links import find_frame
 from spm_pin.loops.null_space import NullSpace
 from spm_pin.loops.point_closures import PointDynamics, PointRows
-from spm_pin.support.arguments import FloatArray, IntArray, finite_array, real_array
+from spm_pin.support.arguments import FloatArray, IntArray, finite_array, likely_names, real_array
 
 AGREEMENT = 1e-9
 """Loops open by this share of the chain's size are taken for rounded, more for open."""
@@ -350,8 +349,7 @@ def frame_index(model: Any, name: str, argument: str = "frame") -> int:
     frame = find_frame(model, name) if isinstance(name, str) else None
     if frame is None:
         names = [frame.name for frame in model.frames]
-        close = difflib.get_close_matches(str(name), names, n=3)
-        cause = f"Did you mean {' or '.join(map(repr, close))}?" if close else f"Frames are {', '.join(names[:12])}"
+        cause = likely_names(name, names, f"Frames are {', '.join(names[:12])}")
         raise ArgumentError(argument, "the name of a frame of the model", repr(name), cause)
     return frame
 

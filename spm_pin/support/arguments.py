@@ -224,6 +224,14 @@ def real_array(
     return finite_array(array, argument, trailing, meaning, allow_nan=allow_nan)
 
 
+def likely_names(name: object, names: Sequence[str], otherwise: str = "") -> str:
+    """Return a question with the names most like this one, as the cause of an error, or `otherwise`."""
+    from difflib import get_close_matches  # for errors alone
+
+    close = get_close_matches(str(name), names)
+    return f"Did you mean {' or '.join(map(repr, close))}?" if close else otherwise
+
+
 def increasing_times(times: npt.ArrayLike, *, least: int = 1) -> FloatArray:
     """Read times (n,) [s], or raise `ArgumentError`."""
     array = real_array(times, "times", (), "in seconds")
