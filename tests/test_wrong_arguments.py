@@ -166,8 +166,6 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "height": lambda: 0.12,
     "arrays.stage_inverse.height": lambda: np.array(0.12),
     "arrays.stage_inverse.normal": lambda: np.array([0.0, 0.0, 1.0]),
-    "arrays.stage_forward.readings": lambda: STAGE_STATE.readings.copy(),
-    "arrays.stage_forward.near": lambda: STAGE_STATE,
     **dict.fromkeys(
         ("stages.forward_displacement.readings", "stages.forward_physical.readings"), lambda: STAGE_STATE.readings
     ),
