@@ -41,7 +41,7 @@ from spm_pin.formulas.ball_motions import BallMotions
 from spm_pin.formulas.circles import Circles
 from spm_pin.formulas.leg_constants import AXES, UP, drawn_triangle
 from spm_pin.formulas.operations import bind, mapped, rows_of, vector_of
-from spm_pin.formulas.stage_numbers import Rods, circles_of_readings, rods_of_balls, slopes_at
+from spm_pin.formulas.stage_numbers import circles_of_readings, readings_of_balls, relative_slopes, rods_at
 from spm_pin.machine import Manipulator, Stage
 from spm_pin.machine.branch_of_state import FAMILIES
 from spm_pin.support.arguments import check_instance
@@ -223,8 +223,9 @@ def forward_physical(machine: Manipulator | Stage | Array, readings: Array, near
             starts = [b, run(ball_motions.points_from_platform, numbers.upper_balls(library, b), *pose)]
     b, turns, places, exists = _solved_stages(library, numbers, stages, starts, zero, is_near=near is not None)
     balls = [mapped(lambda x, k=k: x[k, ...], b) for k in range(len(stages))]
-    slopes = sum(numbers.of_stages(library, slopes_at, balls, own), ())
-    exists = functools.reduce(operator.and_, (slope > 0.0 for slope in slopes), exists & valid & numbers.valid)
+    slopes = [slopes for slopes, _ in numbers.of_stages(library, rods_at, balls, own)]
+    relative = sum(numbers.of_stages(library, relative_slopes, slopes), ())
+    exists = functools.reduce(operator.and_, (slope > 0.0 for slope in relative), exists & valid & numbers.valid)
     pose, *upper = (mapped(lambda x, k=k: x[k, ...], (turns, places)) for k in range(len(stages)))
     if upper:
         # The middle platform seen from {B} and from {m}.
@@ -297,9 +298,9 @@ def stage_inverse(stage: Stage, normal: Array, height: Array) -> State:
     height, is_height = library.checked(height, 2.0 * machine.farthest, machine.r)
     constants = run(stage_poses.stage_constants, own.axes, own.pivots, own.balls)
     *pose, b, exists = run(stage_poses.pose_of_tilt, vector_of(normal), least_rise, height, constants)
-    (rods,) = machine.of_stages(library, rods_of_balls, [b])
-    exists = functools.reduce(operator.and_, (reach >= 0.0 for reach in rods.reach), exists & is_height)
-    readings = [x + offset for x, offset in zip(rods.readings, own.offsets, strict=True)]
+    ((readings, reaches),) = machine.of_stages(library, readings_of_balls, [b])
+    exists = functools.reduce(operator.and_, (reach >= 0.0 for reach in reaches), exists & is_height)
+    readings = [x + offset for x, offset in zip(readings, own.offsets, strict=True)]
     zero = library.zeros(readings[0])
     return State._make([*(library.stacked(x, zero) for x in (*pose, b, readings)), exists])
 
@@ -415,17 +416,23 @@ def _physical(library: Library, machine: MachineOnArrays, pose: Any, b: Any) -> 
 
 def _readings(library: Library, machine: MachineOnArrays, pose: Any, b: Any) -> tuple[list[Any], Any]:
     """Return the readings of balls, and a number that is negative where one is out of reach of its leg."""
-    rods, _ = rods_of(library, machine, pose, b)
-    lack = functools.reduce(functools.partial(library.run, vectors.larger), (-x for own in rods for x in own.reach))
-    stages = zip(rods, machine.stages, strict=True)
-    return [x + y for own, stage in stages for x, y in zip(own.readings, stage.offsets, strict=True)], -lack
+    solved = machine.of_stages(library, readings_of_balls, _own_balls(library, machine, pose, b))
+    lack = functools.reduce(functools.partial(library.run, vectors.larger), (-x for _, own in solved for x in own))
+    stages = zip(solved, machine.stages, strict=True)
+    return [x + y for (own, _), stage in stages for x, y in zip(own, stage.offsets, strict=True)], -lack
 
 
-def rods_of(library: Library, machine: MachineOnArrays, pose: Any, b: Any) -> tuple[list[Rods], tuple[Any, Any]]:
-    """Return the legs of a manipulator at balls b_i in {B} and a pose, and vectors along them in {B}.
+def rods_of(library: Library, machine: MachineOnArrays, pose: Any, b: Any) -> tuple[list[Any], tuple[Any, Any]]:
+    """Return κ of both stages of a manipulator at balls b_i in {B} and a pose, and vectors along the legs in {B}.
 
     The vectors are those from the circles' centres to lower balls, and from upper balls to the circles' centres.
     """
-    run, c = library.run, machine.upper_balls(library, b)
-    lower, upper = machine.of_stages(library, rods_of_balls, [b, run(ball_motions.points_from_platform, c, *pose)])
-    return [lower, upper], (lower.vectors, mapped(lambda x: -x, run(vectors.turned, pose[0], upper.vectors)))
+    balls = _own_balls(library, machine, pose, b)
+    readings = [own for own, _ in machine.of_stages(library, readings_of_balls, balls)]
+    slopes, (lower, upper) = zip(*machine.of_stages(library, rods_at, balls, readings), strict=True)
+    return list(slopes), (lower, mapped(lambda x: -x, library.run(vectors.turned, pose[0], upper)))
+
+
+def _own_balls(library: Library, machine: MachineOnArrays, pose: Any, b: Any) -> list[Any]:
+    """Return the lower balls in {B} and the upper ones in {m}."""
+    return [b, library.run(ball_motions.points_from_platform, machine.upper_balls(library, b), *pose)]

@@ -30,8 +30,7 @@ class _Legs:
         self.lower, run = self.machine.stages[0], self.library.run
         self.upper = run(leg_planes.carried, self.machine.stages[1], *self.pose)
         self.c = self.machine.upper_balls(self.library, self.b)
-        self.rods, arms = rods_of(self.library, self.machine, self.pose, self.b)
-        self.slopes = [slope for rods in self.rods for slope in rods.slopes]
+        self.slopes, arms = rods_of(self.library, self.machine, self.pose, self.b)  # κ of each stage
         (self.lower_directions, _), (self.upper_directions, _) = (run(vectors.directions_and_lengths, x) for x in arms)
 
     def regular(self, stage: Any, *determinants: Any) -> Any:
@@ -43,10 +42,9 @@ class _Legs:
 
     def rates(self) -> list[Any]:
         """Return κ of the legs, 1 of a leg that is singular."""
-        slopes = [rods.slopes for rods in self.rods]
-        relative = sum(self.machine.of_stages(self.library, relative_slopes, slopes), ())
+        relative = sum(self.machine.of_stages(self.library, relative_slopes, self.slopes), ())
         is_singular = (self.library.run(vectors.magnitude, x) <= self.library.least for x in relative)
-        return [self.library.where(x, 1.0, slope) for x, slope in zip(is_singular, self.slopes, strict=True)]
+        return [self.library.where(x, 1.0, slope) for x, slope in zip(is_singular, sum(self.slopes, ()), strict=True)]
 
 
 @quietly
@@ -93,7 +91,7 @@ def leg_forces(machine: Manipulator | Array, state: State | Configuration, wrenc
     twists = library.run(wrenches.stage_twists, *stage, legs.pose[1])
     forces = library.run(wrenches.stage_forces, twists, (vector_of(wrench[..., :3]), vector_of(wrench[..., 3:])))
     along = [x[i, ...] for i in range(2) for x in forces]
-    return library.stacked([x * slope for x, slope in zip(along, legs.slopes, strict=True)], zero)
+    return library.stacked([x * slope for x, slope in zip(along, sum(legs.slopes, ()), strict=True)], zero)
 
 
 @quietly

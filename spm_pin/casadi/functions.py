@@ -36,7 +36,7 @@ from spm_pin.errors import ArgumentError
 from spm_pin.formulas import ball_motions, circles, leg_constants, leg_planes, stage_poses, vectors, wrenches
 from spm_pin.formulas import branches as formulas
 from spm_pin.formulas import joint_values as values
-from spm_pin.formulas.stage_numbers import rods_of_balls
+from spm_pin.formulas.stage_numbers import readings_of_balls
 from spm_pin.machine import BRANCHES, Manipulator, Stage
 from spm_pin.machine.manipulator import check_manipulator, check_rps
 from spm_pin.support.arguments import FloatArray, as_bool, check_instance, choice
@@ -204,12 +204,12 @@ def stage_inverse(stage: Stage) -> ca.Function:
     constants = in_casadi(stage_poses.stage_constants)(own.axes, own.pivots, own.balls)
     least_rise, formula = stage_poses.LEAST_RISE, in_casadi(stage_poses.pose_of_tilt)
     rotation, position, balls, exists = formula(parts(normal), least_rise, height, constants)
-    rods = in_casadi(rods_of_balls)(balls, own, kind)
+    readings, reaches = in_casadi(readings_of_balls)(balls, own, kind)
     outputs = {
-        "readings": ca.vertcat(*rods.readings) + machine.offsets,
+        "readings": ca.vertcat(*readings) + machine.offsets,
         "rotation": ca.vertcat(*(ca.horzcat(*row) for row in rotation)),
         "position": ca.vertcat(*position),
-        "exists": all_of([exists, *(reach >= 0.0 for reach in rods.reach)]),
+        "exists": all_of([exists, *(reach >= 0.0 for reach in reaches)]),
     }
     return machine.function("stage_inverse", [normal, height], outputs)
 

@@ -29,7 +29,13 @@ from spm_pin.formulas import (
 )
 from spm_pin.formulas.operations import bind
 from spm_pin.formulas.planar_legs import MOST_TURNED, LegPlane
-from spm_pin.formulas.stage_numbers import circles_of_readings, rods_of_balls, slopes_at, stage_numbers
+from spm_pin.formulas.stage_numbers import (
+    circles_of_readings,
+    readings_of_balls,
+    relative_slopes,
+    rods_at,
+    stage_numbers,
+)
 from spm_pin.machine import FAMILIES, LegKind, Machine, Manipulator
 from spm_pin.machine.joint_angles import joint_names
 from spm_pin.machine.leg_kinds import BOUNDS, drawn_numbers
@@ -261,8 +267,11 @@ class MachineInCasadi:
         Zero where a leg is singular, negative in another working mode.
         """
         stages = zip(balls, self.stages, self.formulas, strict=True)
-        formula, own = in_casadi(slopes_at), list(readings)
-        return [x for k, (b, *stage) in enumerate(stages) for x in formula(b, own[3 * k : 3 * k + 3], *stage)]
+        relative: list[Any] = []
+        for k, (b, *stage) in enumerate(stages):
+            slopes, _ = in_casadi(rods_at)(b, readings[3 * k : 3 * k + 3], *stage)
+            relative += in_casadi(relative_slopes)(slopes, *stage)
+        return relative
 
     def are_readings(self, own: Sequence[Any]) -> list[Any]:
         """Return where readings of the first legs, without offsets, are finite, and those of cranks within a turn."""
@@ -300,12 +309,16 @@ class StateInCasadi:
         self.axes = [*machine.axes[:3], *(rotation @ a for a in machine.axes[3:])]
         self._own = [rows(balls) for balls in self.own_balls()]
         stages = zip(self._own, machine.stages, machine.formulas, strict=True)
-        lower_rods, upper_rods = (in_casadi(rods_of_balls)(*stage) for stage in stages)
-        self.readings = ca.vertcat(*lower_rods.readings, *upper_rods.readings) + machine.offsets
-        self.slopes = [*lower_rods.slopes, *upper_rods.slopes]
-        self.vectors = [*columns(lower_rods.vectors), *(-rotation @ x for x in columns(upper_rods.vectors))]
+        own, reaches, self.slopes, rods = [], [], [], []
+        for balls, *stage in stages:
+            readings, reach = in_casadi(readings_of_balls)(balls, *stage)
+            slopes, of_stage = in_casadi(rods_at)(balls, readings, *stage)
+            own, reaches, rods = [*own, *readings], [*reaches, *reach], [*rods, *columns(of_stage)]
+            self.slopes += slopes
+        self.readings = ca.vertcat(*own) + machine.offsets
         # The least reach of a leg is negative where a ball is out of reach.
-        self.reach = ca.mmin(ca.vertcat(*lower_rods.reach, *upper_rods.reach))
+        self.reach = ca.mmin(ca.vertcat(*reaches))
+        self.vectors = [*rods[:3], *(-rotation @ x for x in rods[3:])]
         (lower, lower_lengths), (upper, upper_lengths) = map(
             in_casadi(vectors.directions_and_lengths), stages_of(self.vectors)
         )

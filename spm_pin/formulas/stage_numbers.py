@@ -36,15 +36,6 @@ class StageNumbers(NamedTuple):
     up: float  # +1 if the platform is above the plate at home, in the direction of z, otherwise -1
 
 
-class Rods(NamedTuple):
-    """The legs of a stage for given balls."""
-
-    readings: Vector
-    reach: Vector  # negative for a ball out of its leg's reach
-    slopes: Vector
-    vectors: Rows  # from the circles' centres to the balls
-
-
 def stage_numbers(
     vectors: tuple[Rows, Rows, Rows],
     offsets: Vector,
@@ -85,21 +76,30 @@ def _circle(reading: float, plane: LegPlane, numbers: Numbers, kind: Any) -> tup
     return point_of_plane(circle.x, circle.z, plane), circle.radius
 
 
-def rods_of_balls(b: Rows, stage: StageNumbers, kind: Any) -> Rods:
-    """Return the legs for these balls."""
-    q1, reach1, slope1, v1 = _rod(b[0], stage.planes[0], stage.middles[0], stage.numbers[0], kind)
-    q2, reach2, slope2, v2 = _rod(b[1], stage.planes[1], stage.middles[1], stage.numbers[1], kind)
-    q3, reach3, slope3, v3 = _rod(b[2], stage.planes[2], stage.middles[2], stage.numbers[2], kind)
-    return Rods((q1, q2, q3), (reach1, reach2, reach3), (slope1, slope2, slope3), (v1, v2, v3))
+def readings_of_balls(b: Rows, stage: StageNumbers, kind: Any) -> tuple[Vector, Vector]:
+    """Return the readings of the legs with these balls, and numbers that are negative for balls out of reach."""
+    q1, reach1 = _reading(b[0], stage.planes[0], stage.middles[0], stage.numbers[0], kind)
+    q2, reach2 = _reading(b[1], stage.planes[1], stage.middles[1], stage.numbers[1], kind)
+    q3, reach3 = _reading(b[2], stage.planes[2], stage.middles[2], stage.numbers[2], kind)
+    return (q1, q2, q3), (reach1, reach2, reach3)
 
 
-def _rod(
-    ball: Vector, plane: LegPlane, middle: float, numbers: Numbers, kind: Any
-) -> tuple[float, float, float, Vector]:
+def _reading(ball: Vector, plane: LegPlane, middle: float, numbers: Numbers, kind: Any) -> tuple[float, float]:
     x, z = place_in_plane(ball, plane)
-    reading = kind.reading(x, z, middle, numbers)
+    return kind.reading(x, z, middle, numbers), kind.reach(x, z, numbers)
+
+
+def rods_at(b: Rows, readings: Vector, stage: StageNumbers, kind: Any) -> tuple[Vector, Rows]:
+    """Return κ of the legs with these balls and readings, and the vectors from the circles' centres to the balls."""
+    slope1, rod1 = _rod(b[0], readings[0], stage.planes[0], stage.numbers[0], kind)
+    slope2, rod2 = _rod(b[1], readings[1], stage.planes[1], stage.numbers[1], kind)
+    slope3, rod3 = _rod(b[2], readings[2], stage.planes[2], stage.numbers[2], kind)
+    return (slope1, slope2, slope3), (rod1, rod2, rod3)
+
+
+def _rod(ball: Vector, reading: float, plane: LegPlane, numbers: Numbers, kind: Any) -> tuple[float, Vector]:
     centre, _ = _circle(reading, plane, numbers, kind)
-    return reading, kind.reach(x, z, numbers), kind.slope(x, z, reading, numbers), minus(ball, centre)
+    return kind.slope(*place_in_plane(ball, plane), reading, numbers), minus(ball, centre)
 
 
 def relative_slopes(slopes: Vector, stage: StageNumbers, kind: Any) -> Vector:
@@ -107,11 +107,3 @@ def relative_slopes(slopes: Vector, stage: StageNumbers, kind: Any) -> Vector:
     first, second, third = stage.numbers
     largest = kind.largest_slope(first), kind.largest_slope(second), kind.largest_slope(third)
     return slopes[0] / largest[0], slopes[1] / largest[1], slopes[2] / largest[2]
-
-
-def slopes_at(b: Rows, readings: Vector, stage: StageNumbers, kind: Any) -> Vector:
-    """Return `relative_slopes` of legs with these readings, whose balls are on the circles of these."""
-    first = kind.slope(*place_in_plane(b[0], stage.planes[0]), readings[0], stage.numbers[0])
-    second = kind.slope(*place_in_plane(b[1], stage.planes[1]), readings[1], stage.numbers[1])
-    third = kind.slope(*place_in_plane(b[2], stage.planes[2]), readings[2], stage.numbers[2])
-    return relative_slopes((first, second, third), stage, kind)
