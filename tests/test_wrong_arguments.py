@@ -17,7 +17,6 @@ import pytest
 
 import spm_pin as spm
 from spm_pin.kinematics import stage_displacement
-from spm_pin.kinematics.stage_paths import follow
 
 
 class Foreign:
@@ -170,7 +169,7 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
         ("stages.forward_displacement.readings", "stages.forward_physical.readings"), lambda: STAGE_STATE.readings
     ),
     "stages.forward_physical.near": lambda: STAGE_STATE,
-    "stages.follow.readings": lambda: [STAGE_STATE.readings, STAGE_STATE.readings + 0.01],
+    "stages.follow.path": lambda: [STAGE_STATE.readings, STAGE_STATE.readings + 0.01],
     **dict.fromkeys(("joint_loads.configuration", "parasitic_jacobian.configuration"), lambda: STAGE_STATE),
     "one_stage.configuration": lambda: STAGE_STATE,
     "one_stage.leg_rates.twist": lambda: np.zeros(3),
@@ -357,8 +356,8 @@ EITHER = (
 )
 """Functions that take a stage as well as a manipulator, and are called with both."""
 
-OF_STAGES = (spm.forward_displacement, spm.forward_physical, stage_displacement.inverse)
-OF_STAGES += (stage_displacement.inverse_physical, follow)
+OF_STAGES = (spm.forward_displacement, spm.forward_physical, spm.follow)
+OF_STAGES += (stage_displacement.inverse, stage_displacement.inverse_physical)
 """What functions of either machine call for a stage, with its arguments."""
 
 

@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 from array_api_compat import is_array_api_obj
 
 from spm_pin.arrays.library import (
-    STATE_FIELDS,
     Array,
     Library,
     MachineOnArrays,
@@ -205,8 +204,8 @@ def forward_physical(machine: Manipulator | Stage | Array, readings: Array, near
     in 1,000 of those below 30°. Give `near` there.
     """
     is_stage = isinstance(machine, Stage)
-    given = state_arrays(near, "near", ("rotation", "translation") if is_stage else STATE_FIELDS)
-    library = library_of(legs=3 if is_stage else 6, machine=machine, readings=readings, **given)
+    given = {"machine": machine, "readings": readings, **state_arrays(near, "near")}
+    library = library_of(legs=3 if is_stage else 6, **given)
     numbers, run = read_machine(library, machine), library.run
     shown, own, valid = numbers.checked_readings(library, readings)
     zero = library.zeros(*sum(own, ()), numbers.r, *([] if near is None else [near.translation[..., 0]]))
@@ -216,11 +215,7 @@ def forward_physical(machine: Manipulator | Stage | Array, readings: Array, near
         starts = [run(circles.level_balls, x, s.balls, s.up) for x, s in zip(stages, numbers.stages, strict=True)]
     else:
         pose = rows_of(near.rotation), vector_of(near.translation)
-        if is_stage:
-            starts = [run(stage_poses.platform_balls, *pose, numbers.stages[0].balls)]
-        else:
-            b = rows_of(near.middle_joints)
-            starts = [b, run(ball_motions.points_from_platform, numbers.upper_balls(library, b), *pose)]
+        starts = _own_balls(library, numbers, pose, rows_of(near.middle_joints))
     b, turns, places, exists = _solved_stages(library, numbers, stages, starts, zero, is_near=near is not None)
     balls = [mapped(lambda x, k=k: x[k, ...], b) for k in range(len(stages))]
     slopes = [slopes for slopes, _ in numbers.of_stages(library, rods_at, balls, own)]
@@ -434,5 +429,7 @@ def rods_of(library: Library, machine: MachineOnArrays, pose: Any, b: Any) -> tu
 
 
 def _own_balls(library: Library, machine: MachineOnArrays, pose: Any, b: Any) -> list[Any]:
-    """Return the lower balls in {B} and the upper ones in {m}."""
+    """Return the lower balls in {B} and the upper ones in {m}; the former alone for a stage."""
+    if len(machine.stages) == 1:
+        return [b]
     return [b, library.run(ball_motions.points_from_platform, machine.upper_balls(library, b), *pose)]

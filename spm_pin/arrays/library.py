@@ -32,8 +32,6 @@ Array = Any
 _TRAILING = {"rotation": (3, 3), "translation": (3,), "middle_joints": (3, 3), "wrench": (6,)}
 _TRAILING |= {"normal": (3,)}
 """The last axes of arrays by their names."""
-STATE_FIELDS = "rotation", "translation", "middle_joints"
-"""Arrays of a manipulator's state."""
 quietly = np.errstate(all="ignore")
 """Decorates functions in which numbers of what does not exist are no reason for NumPy's warnings."""
 _RPS = Manipulator(1.0, 1.0, 1.0)
@@ -296,10 +294,11 @@ def _machine_of(machine: Manipulator | Stage) -> MachineOnArrays:
     return _completed(library_of(numbers=np.zeros(1)), tuple(radii), r, legs, machine, None, machine.is_nominal, True)
 
 
-def state_arrays(state: Any, name: str, fields: Sequence[str] = STATE_FIELDS) -> dict[str, Any]:
+def state_arrays(state: Any, name: str) -> dict[str, Any]:
     """Return the arrays of a state by their names in messages; none of None."""
     if state is None:
         return {}
+    fields = "rotation", "translation", "middle_joints"
     if not all(hasattr(state, field) for field in (*fields, "exists")):
         raise ArgumentError(name, "a State or a state of the machine", type_and_value(state))
     return {f"{name}.{field}": getattr(state, field) for field in fields}

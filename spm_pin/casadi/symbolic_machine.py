@@ -309,11 +309,16 @@ class StateInCasadi:
         self.axes = [*machine.axes[:3], *(rotation @ a for a in machine.axes[3:])]
         self._own = [rows(balls) for balls in self.own_balls()]
         stages = zip(self._own, machine.stages, machine.formulas, strict=True)
-        own, reaches, self.slopes, rods = [], [], [], []
+        own: list[Any] = []
+        reaches: list[Any] = []
+        rods: list[Any] = []
+        self.slopes: list[Any] = []
         for balls, *stage in stages:
             readings, reach = in_casadi(readings_of_balls)(balls, *stage)
             slopes, of_stage = in_casadi(rods_at)(balls, readings, *stage)
-            own, reaches, rods = [*own, *readings], [*reaches, *reach], [*rods, *columns(of_stage)]
+            own += readings
+            reaches += reach
+            rods += columns(of_stage)
             self.slopes += slopes
         self.readings = ca.vertcat(*own) + machine.offsets
         # The least reach of a leg is negative where a ball is out of reach.
