@@ -180,7 +180,7 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "Stage.platform_radius": lambda: 0.09,
     "Stage.to_yaml.path": lambda: "stage.yaml",
     "Stage.from_yaml.path": stage_file,
-    **dict.fromkeys(("path", "PlatformPath.poses"), lambda: PATH),
+    **dict.fromkeys(("path", "follow.path", "PlatformPath.poses"), lambda: PATH),
     "branch": lambda: "TT+",
     "chain": lambda: chain(),
     **dict.fromkeys(("force_limits", "rate_limits"), lambda: 900.0),
@@ -311,7 +311,9 @@ SMALL = ("samples", "spacing", "starts", "rng", "tries", "xyx")
 LEFT_OUT = ("near", "v", "legs", "leg_rates", "start", "twist")
 """Parameters that are nevertheless left out in one of two calls."""
 
-ALTERNATIVES = ("pose.rotation", "nearest_reachable_pose.branch", "stages.follow.height", "stages.follow.start")
+TILTS = ("height", "tilt", "azimuth", "roll", "pitch", "normal")
+ALTERNATIVES = ("pose.rotation", "nearest_reachable_pose.branch", "stages.follow.start")
+ALTERNATIVES += tuple(f"{place}.{name}" for place in ("follow", "stages.follow") for name in TILTS)
 """Parameters that other arguments exclude."""
 
 INSTANCES: dict[str, Callable[[], Any]] = {

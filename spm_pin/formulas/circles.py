@@ -73,13 +73,6 @@ def circles_between(start: Circles, end: Circles, share: float) -> Circles:
     return Circles(end.axes, centres, radii, combined(start.squares, share, minus(end.squares, start.squares)))
 
 
-def stage_between(start: Circles, end: Circles, share: float) -> Circles:
-    """Return the circles at a fraction, 0 to 1, of the way between those of two stages, whose axes may differ."""
-    circles = circles_between(start, end, share)
-    axes = directions(combinations(start.axes, (share, share, share), differences(end.axes, start.axes)))
-    return Circles(axes, circles.centres, circles.radii, circles.squares)
-
-
 def level_balls(stage: Circles, corners: Rows, up: float) -> Rows:
     """Return the balls of a level platform at its height for legs of mean length, the start of a search.
 

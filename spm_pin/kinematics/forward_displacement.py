@@ -16,7 +16,7 @@ import numpy.typing as npt
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.batches import flat_batch, run_kernel, with_batch_shape
 from spm_pin.kinematics.readings import read_readings
-from spm_pin.kinematics.stage_balls import STAGE_MODES, Modes, NominalStage, all_modes, followed_balls, physical_balls
+from spm_pin.kinematics.stage_balls import STAGE_MODES, Modes, all_modes, followed_balls, physical_balls
 from spm_pin.machine.configuration import Configuration, check_configuration
 from spm_pin.machine.joint_angles import homes
 from spm_pin.machine.machine import Machine, unit_hint
@@ -57,15 +57,12 @@ def forward_displacement(machine: Manipulator | Stage, readings: npt.ArrayLike) 
         a family, with legs shorter than a thousandth of the middle platform, and in a calibrated machine beside a
         forward singularity or with legs of fifty times its sides.
 
-        For a calibrated manipulator labels are tracked from the nominal machine with the same readings while the errors
-        grow. `.merged` (..., 256) is true if the tracked mode has met another one, and for remaining labels. Numbers of
-        modes are arbitrary for legs that are not RPS, and for a calibrated stage.
-
     Notes
     -----
     A stage's modes are named T (no torsion) or F (turned by half a turn) and numbered by decreasing mean radius of the
     middle joints about the stage's own axis, so T1 is tilted least; + is the sheet on which the middle platform
-    is above the base, or below the terminal platform, - its mirror image. Two modes that coincide to rounding,
+    is above the base, or below the terminal platform, - its mirror image. In machines that are not nominal or have
+    other legs than RPS a fifth one of a mode and sheet takes a label that is left. Two modes that coincide to rounding,
     at a forward singularity, count once. A problem takes 43 kB: divide large batches.
 
     Examples
@@ -78,11 +75,8 @@ def forward_displacement(machine: Manipulator | Stage, readings: npt.ArrayLike) 
     <SolutionSet: ok, 12 of 16 real: T1+, T1-, T2+, T2-, T3+, T3-, T4+, T4-, …>
     """
     read = read_readings(machine, readings)
-    legs = machine.legs.stages
-    columns = np.moveaxis(read.reshape(-1, len(legs), 3), 1, 0)
-    solved = [all_modes(*stage) for stage in zip(legs, columns, _nominal_stages(machine), strict=True)]
     modes_of: Any = _modes_of_stage if machine.is_stage else _modes_of_manipulator
-    modes: SolutionSet = modes_of(machine, read, *solved)
+    modes: SolutionSet = modes_of(machine, read, *all_modes(machine, read.reshape(-1, read.shape[-1])))
     return modes
 
 
@@ -106,22 +100,17 @@ def _modes_of_manipulator(machine: Manipulator, readings: FloatArray, below: Mod
     upper = np.where(is_solved[:, None, None, None], above.balls, np.nan)
     results = ((n, 3, 3), np.float64), ((n, 3), np.float64), ((n, 3, 3), np.float64)
     solved = run_kernel(join_modes, (below.balls, upper), (legs.balls,), results, _MIN_BATCH_PER_THREAD)
-    merged = (below.merged[:, :, None] | above.merged[:, None]).reshape(-1, n) & (status != Status.UNSOLVED)[:, None]
     families = _continuous_families(below, above) * is_solved[:, None]
     if not legs.are_rps:
         status[(status == Status.OK) & np.isnan(solved[2][..., 0, 0]).all(axis=-1)] = Status.UNREACHABLE
-    *state, merged, families, status = with_batch_shape((*solved, merged, families, status), shape)
+    *state, families, status = with_batch_shape((*solved, families, status), shape)
     largest = np.asarray(families.max(axis=-1))
     modes = Configuration.from_arrays(machine, *state)
     if not shape and status == Status.UNREACHABLE:
         modes.missing_reason = unit_hint(machine, _lengths(machine, readings))
-    return SolutionSet(
-        modes,
-        ASSEMBLY_MODES,
-        np.where(largest > 0, Status.DEGENERATE, status),
-        degeneracy=Degeneracy(largest, families > 0, np.zeros((*shape, 3), dtype=np.bool_)),
-        merged=None if machine.is_nominal and legs.are_rps else merged,
-    )
+    status = np.where(largest > 0, Status.DEGENERATE, status)
+    degeneracy = Degeneracy(largest, families > 0, np.zeros((*shape, 3), dtype=np.bool_))
+    return SolutionSet(modes, ASSEMBLY_MODES, status, degeneracy=degeneracy)
 
 
 def forward_physical(
@@ -229,16 +218,6 @@ def _check_near(machine: Machine, near: Any) -> None:
     residual = float(near.closure_residual.max(initial=0.0))
     if not residual <= _OPEN * machine.ball_side:
         raise ArgumentError("near", "a configuration that closes", f"a closure residual of {residual:.1e} m")
-
-
-def _nominal_stages(machine: Machine) -> list[NominalStage]:
-    """Return the nominal stages. Modes of other legs than RPS have no nominal labels, and take the first that fit."""
-    legs, is_rps = machine.nominal.legs, machine.legs.are_rps
-    stages = zip(np.stack(legs.arrays[:3]).reshape(3, -1, 3, 3).swapaxes(0, 1), machine.stage_radii, strict=True)
-    return [
-        NominalStage(own, is_rps, machine.is_nominal and is_rps, ball_radius, radius)
-        for own, (radius, ball_radius) in stages
-    ]
 
 
 def _continuous_families(below: Modes, above: Modes) -> IntArray:

@@ -67,8 +67,7 @@ def follow(
     -------
     FollowedPath
         With its events, each at its parameter to 1e-9: singularities, limits, changes of labels and the end of the
-        solution. Modes of readings have labels in nominal stages with RPS legs and manipulators with RPS legs;
-        otherwise that of the first point is kept.
+        solution. Modes of readings keep the label of the first point, except in nominal machines with RPS legs.
 
     Examples
     --------
@@ -81,15 +80,16 @@ def follow(
     if certificate is not None and not hasattr(certificate, "covers"):
         raise ArgumentError("certificate", "a Certificate", type(certificate).__name__)
     tilts = {"tilt": tilt, "azimuth": azimuth, "roll": roll, "pitch": pitch, "normal": normal}
-    if height is None and all(value is None for value in tilts.values()):
+    names = [name for name, value in {"height": height, **tilts}.items() if value is not None]
+    if not names:
         solve, knots, has_legs = _solver(machine, path)
+    elif isinstance(machine, Manipulator) or path is not None:
+        expected = "none for a Manipulator, which takes a path" if path is None else "none beside a path"
+        raise ArgumentError(names[0], expected, "a value")
     else:
-        if isinstance(machine, Manipulator) or path is not None:
-            raise ArgumentError("height", "a path, or of a stage its heights with tilts", "a height or a tilt beside")
         solve, knots, has_legs = *_tilts_solver(machine, height, tilts), False
-    # Numbers of modes are names only where legs are RPS, of a stage only if it is nominal.
-    has_labels = machine.legs.are_rps and (machine.is_nominal or not machine.is_stage)
-    watch = watch_of(machine)._replace(has_labels=not has_legs or has_labels)
+    # Numbers of modes are names only in nominal machines with RPS legs.
+    watch = watch_of(machine)._replace(has_labels=not has_legs or (machine.is_nominal and machine.legs.are_rps))
     path_followed = followed(watch, solve, knots, start, samples, has_legs=has_legs)
     if certificate is None:
         return path_followed
