@@ -255,7 +255,7 @@ def _solved_stages(
         exists = exists & (sides[0] * sides[1] > 0.0)
     else:
         up = library.together([own.up for own in machine.stages], zero)
-        exists = exists & run(circles.is_home_state, stage, e, b, up)
+        exists = exists & run(circles.is_home_state, b, stage.centres, stage.axes, up)
     motions = run(ball_motions.ball_motions, b, e, stage.axes)
 
     def correction(b: Any, motions: BallMotions) -> Any:
@@ -402,11 +402,11 @@ def _with_derivatives(
 
 
 def _physical(library: Library, machine: MachineOnArrays, pose: Any, b: Any) -> tuple[Any, Any]:
-    c, (_, arms) = machine.upper_balls(library, b), rods_of(library, machine, pose, b)
-    upper_axes = library.run(vectors.turned, pose[0], machine.stages[1].axes)
-    outer = [mapped(lambda x, up=kind.up: up * x, half) for kind, half in zip(machine.kinds, arms, strict=True)]
-    physical = library.run(branches.is_physical, b, c, *outer, machine.stages[0].axes, upper_axes, *pose)
-    return physical, library.run(branches.tilt_cosine_sum, b, pose[0])
+    balls = _own_balls(library, machine, pose, b)
+    readings = [own for own, _ in machine.of_stages(library, readings_of_balls, balls)]
+    stages = zip(balls, machine.of_stages(library, circles_of_readings, readings), machine.stages, strict=True)
+    lower, upper = (library.run(circles.is_home_state, x, own.centres, own.axes, s.up) for x, own, s in stages)
+    return lower & upper, library.run(branches.tilt_cosine_sum, b, pose[0])
 
 
 def _readings(library: Library, machine: MachineOnArrays, pose: Any, b: Any) -> tuple[list[Any], Any]:

@@ -174,8 +174,8 @@ def forward_physical(
     residual = ca.mmax(ca.fabs(error)) / symbolic.side
     exists = [symbolic.valid, residual < 1e-12, *(slope > 0.0 for slope in symbolic.slopes_at(balls, own))]
     for stage, b, numbers in zip(stages, balls, symbolic.stages, strict=True):
-        e = in_casadi(circles.directions_to)(stage, b)
-        exists += [in_casadi(circles.is_home_state)(stage, e, b, numbers.up), *(x > 0.0 for x in stage.radii)]
+        is_home = in_casadi(circles.is_home_state)(b, stage.centres, stage.axes, numbers.up)
+        exists += [is_home, *(radius > 0.0 for radius in stage.radii)]
     exists += symbolic.are_readings(own)
     outputs = {"rotation": rotation, "position": position, "joints": joints}
     outputs |= {"residual": residual, "exists": all_of(exists)}

@@ -358,12 +358,12 @@ class StateInCasadi:
 
     def is_physical(self) -> tuple[Any, Any]:
         """Return whether the state is physical, leg limits aside, and the sum of the cosines of both stages' tilts."""
-        turn, (b, c) = [parts(self.rotation[i, :]) for i in range(3)], stages_of(self.balls)
-        # Those of a stage that hangs are reversed.
-        ups = [side * stage.up for side, stage in zip((1.0, -1.0), self.machine.stages, strict=True)]
-        outer = stages_of([ups[leg // 3] * vector for leg, vector in enumerate(self.vectors)])
-        physical = in_casadi(branches.is_physical)(b, c, *outer, *stages_of(self.axes), turn, parts(self.position))
-        return ca.logic_and(physical, self.reach >= 0.0), in_casadi(branches.tilt_cosine_sum)(b, turn)
+        physical = [self.reach >= 0.0]
+        for k, (b, stage) in enumerate(zip(self._own, self.machine.stages, strict=True)):
+            centres = self.machine.circles(k, self.readings).centres
+            physical.append(in_casadi(circles.is_home_state)(b, centres, stage.axes, stage.up))
+        turn = [parts(self.rotation[i, :]) for i in range(3)]
+        return all_of(physical), in_casadi(branches.tilt_cosine_sum)(rows(self.joints), turn)
 
 
 class NominalBranches:

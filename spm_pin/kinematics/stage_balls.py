@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -93,9 +93,7 @@ def followed_balls(legs: Legs, balls: FloatArray, start: FloatArray, end: FloatA
 def _home_modes(stage: PlacedLegs, locked: CentresAndRadii, readings: FloatArray) -> FloatArray:
     """Return the balls (N, 3, 3) [m] of the first mode that is in the home assembly region, NaN where no mode is."""
     modes = _in_working_mode(stage, _modes(stage, locked).balls, readings[:, None])
-    (centres, _), none = locked, np.zeros(3)
-    three: Any = formulas.Circles(rows_of(stage.axes), rows_of(centres[:, None]), none, none)  # type: ignore[arg-type]
-    is_home = _is_home_state(three, rows_of(modes - centres[:, None]), rows_of(modes), stage.up)
+    is_home = _is_home_state(rows_of(modes), rows_of(locked[0][:, None]), rows_of(stage.axes), stage.up)
     first = modes[np.arange(len(modes)), is_home.argmax(axis=-1)]
     return np.where(is_home.any(axis=-1)[:, None, None], first, np.nan)
 

@@ -111,8 +111,8 @@ def home_states(centres, radii, axes, balls, ups, joints, is_elsewhere):
         for n in range(len(radii)):
             stage = circles_at(axes[leg:], centres[n, leg:], radii[n, leg:], squares)
             first = first_step(stage, level_balls(stage, own, ups[k]))
-            e, b, converged = solution(stage, first.directions, first.step)
-            is_home = is_home_state(stage, e, b, ups[k])
+            _, b, converged = solution(stage, first.directions, first.step)
+            is_home = is_home_state(b, stage.centres, stage.axes, ups[k])
             is_short = min(radii[n, leg : leg + 3]) < _SHORT * max(radii[n, leg : leg + 3])
             is_elsewhere[n, k] = not is_home if converged else is_short
             joints[n, k] = np.nan
