@@ -23,7 +23,7 @@ from spm_pin.machine.machine import Machine, unit_hint
 from spm_pin.machine.manipulator import Manipulator, check_same_machine
 from spm_pin.machine.solutions import Degeneracy, SolutionSet, Status
 from spm_pin.machine.stage import Stage
-from spm_pin.support.arguments import FloatArray, IntArray, broadcastable
+from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, broadcastable
 
 ASSEMBLY_MODES = tuple(f"{lower}/{upper}" for lower in STAGE_MODES for upper in STAGE_MODES)
 """Canonical order of the 256 assembly modes of the manipulator: the lower stage's, then the upper stage's."""
@@ -75,42 +75,39 @@ def forward_displacement(machine: Manipulator | Stage, readings: npt.ArrayLike) 
     <SolutionSet: ok, 12 of 16 real: T1+, T1-, T2+, T2-, T3+, T3-, T4+, T4-, …>
     """
     read = read_readings(machine, readings)
-    modes_of: Any = _modes_of_stage if machine.is_stage else _modes_of_manipulator
-    modes: SolutionSet = modes_of(machine, read, *all_modes(machine, read.reshape(-1, read.shape[-1])))
-    return modes
+    shape, stages = read.shape[:-1], all_modes(machine, read.reshape(-1, read.shape[-1]))
+    statuses = np.stack([stage.status for stage in stages])
+    # If one stage cannot be closed there is no solution.
+    is_absent = (statuses == Status.UNREACHABLE).any(axis=0)
+    status = np.where(is_absent, Status.UNREACHABLE, statuses.max(axis=0)).astype(np.int8)
+    if machine.is_stage:
+        labels, families = STAGE_MODES, stages[0].continuous
+        states = _joined(machine, (*shape, len(labels)), stages[0].balls, read[..., None, :])
+    else:
+        (below, above), is_solved = stages, status == Status.OK
+        labels, families = ASSEMBLY_MODES, _continuous_families(below, above) * is_solved[:, None]
+        states = _pairs_of_modes(machine, shape, below, above, is_solved)
+    free = families.max(axis=-1)
+    status[(status == Status.OK) & (free == 0) & ~states.exists.any(axis=-1).ravel()] = Status.UNREACHABLE
+    status[(status == Status.OK) & (free > 0)] = Status.DEGENERATE
+    free, families, status = with_batch_shape((free, families, status), shape)
+    if not shape and status == Status.UNREACHABLE:
+        states.missing_reason = unit_hint(machine, _lengths(machine, read))
+    legs = np.zeros((*shape, 3), dtype=np.bool_)
+    degeneracy = None if machine.is_stage else Degeneracy(np.asarray(free), families > 0, legs)
+    return SolutionSet(states, labels, status, degeneracy=degeneracy)
 
 
-def _modes_of_stage(stage: Stage, readings: FloatArray, modes: Modes) -> SolutionSet:
-    shape = readings.shape[:-1]
-    states = _joined(stage, (*shape, len(STAGE_MODES)), modes.balls, readings[..., None, :])
-    status, continuous = modes.status.reshape(shape), modes.continuous.any(axis=-1).reshape(shape)
-    status[continuous & (status == Status.OK)] = Status.DEGENERATE
-    status[(status == Status.OK) & ~states.exists.any(axis=-1)] = Status.UNREACHABLE
-    return SolutionSet(states, STAGE_MODES, status)
-
-
-def _modes_of_manipulator(machine: Manipulator, readings: FloatArray, below: Modes, above: Modes) -> SolutionSet:
+def _pairs_of_modes(
+    machine: Machine, shape: tuple[int, ...], below: Modes, above: Modes, is_solved: BoolArray
+) -> Configuration:
+    """Return the states (..., 256) of each lower mode with each upper one, NaN where it is not `is_solved` (N,)."""
     from spm_pin.kinematics.kernels.circle_modes import join_modes
 
-    legs, shape, n = machine.legs, readings.shape[:-1], len(ASSEMBLY_MODES)
-    # If one stage cannot be closed there is no solution.
-    is_absent = (below.status == Status.UNREACHABLE) | (above.status == Status.UNREACHABLE)
-    status = np.where(is_absent, Status.UNREACHABLE, np.maximum(below.status, above.status)).astype(np.int8)
-    is_solved = status == Status.OK
-    upper = np.where(is_solved[:, None, None, None], above.balls, np.nan)
+    upper, n = np.where(is_solved[:, None, None, None], above.balls, np.nan), len(ASSEMBLY_MODES)
     results = ((n, 3, 3), np.float64), ((n, 3), np.float64), ((n, 3, 3), np.float64)
-    solved = run_kernel(join_modes, (below.balls, upper), (legs.balls,), results, _MIN_BATCH_PER_THREAD)
-    families = _continuous_families(below, above) * is_solved[:, None]
-    if not legs.are_rps:
-        status[(status == Status.OK) & np.isnan(solved[2][..., 0, 0]).all(axis=-1)] = Status.UNREACHABLE
-    *state, families, status = with_batch_shape((*solved, families, status), shape)
-    largest = np.asarray(families.max(axis=-1))
-    modes = Configuration.from_arrays(machine, *state)
-    if not shape and status == Status.UNREACHABLE:
-        modes.missing_reason = unit_hint(machine, _lengths(machine, readings))
-    status = np.where(largest > 0, Status.DEGENERATE, status)
-    degeneracy = Degeneracy(largest, families > 0, np.zeros((*shape, 3), dtype=np.bool_))
-    return SolutionSet(modes, ASSEMBLY_MODES, status, degeneracy=degeneracy)
+    solved = run_kernel(join_modes, (below.balls, upper), (machine.legs.balls,), results, _MIN_BATCH_PER_THREAD)
+    return Configuration.from_arrays(machine, *with_batch_shape(solved, shape))
 
 
 def forward_physical(
@@ -235,15 +232,14 @@ def _joined(
 
     The readings (..., legs) of a stage broadcast with them; those of a manipulator follow from the balls.
     """
-    from spm_pin.kinematics.kernels.ball_circles import join_stages, platform_frames
+    from spm_pin.kinematics.kernels.ball_circles import join_stages
 
     rotation, place = ((3, 3), np.float64), ((3,), np.float64)
-    kernel, results = join_stages, [rotation, place, rotation]
-    if machine.is_stage:
-        kernel, results, balls = platform_frames, results[:2], balls.reshape(-1, 3, 3)
-    solved = run_kernel(kernel, [balls], [machine.legs.balls], results, _MIN_BATCH_PER_THREAD_PHYSICAL)
-    arrays = with_batch_shape(solved, shape)
+    joints: Any = np.empty((0, 3, 3)) if machine.is_stage else rotation
+    stages, constants = balls.reshape(-1, len(machine.legs.kinds), 3, 3), [machine.legs.balls]
+    solved = run_kernel(join_stages, [stages], constants, [rotation, place, joints], _MIN_BATCH_PER_THREAD_PHYSICAL)
     if not machine.is_stage:
-        return Configuration.from_arrays(machine, *arrays)
-    states = Configuration.from_arrays(machine, *arrays, np.array(np.broadcast_to(readings, (*shape, 3))))
+        return Configuration.from_arrays(machine, *with_batch_shape(solved, shape))
+    shown = np.array(np.broadcast_to(readings, (*shape, 3)))
+    states = Configuration.from_arrays(machine, *with_batch_shape(solved[:2], shape), shown)
     return states if states.exists.all() else states.where(states.exists)

@@ -41,7 +41,8 @@ from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, broadcast
 
 MOTION = slice(2, 5)
 """Rows of a twist (v, ω) that are the motion (v_z, ω_x, ω_y)."""
-_twists, _parasitic_rates = on_arrays(wrenches.stage_twists), on_arrays(stage_poses.parasitic_rates)
+_twists, _may_be_singular = on_arrays(wrenches.stage_twists), on_arrays(wrenches.may_be_singular)
+_parasitic_rates = on_arrays(stage_poses.parasitic_rates)
 _STIFFEST = 1e100
 """Largest stiffness [N/m], for which products of two are still finite."""
 
@@ -87,7 +88,7 @@ def platform_jacobian(configuration: Configuration) -> FloatArray:
         parasitic motion is included; the rows `spm_pin.kinematics.MOTION` are the inverse of its `inverse_jacobian`.
     """
     if check_configuration(configuration).machine.is_stage:
-        matrices = _stage_twists(configuration, along_axes=False)[..., 0, :, :]
+        matrices = _stage_twists(configuration, has_axes=False)[..., 0, :, :]
     else:
         from spm_pin.kinematics.kernels.jacobian_kernels import platform_jacobians
 
@@ -110,8 +111,11 @@ def parasitic_jacobian(configuration: Configuration) -> FloatArray:
     axes, balls, origin = rows_of(state.machine.legs.axes), rows_of(state.balls), vector_of(state.translation)
     with np.errstate(invalid="ignore", divide="ignore"):
         columns = [_parasitic_rates(axes, balls, origin, tuple(unit)) for unit in np.eye(3).tolist()]
-    twists = _columns(columns, state.shape)
-    return _regular(twists, _are_singular_to_rounding(state, inverse_matrices(state), "inverse"))
+    sizes = np.linalg.svd(np.nan_to_num(inverse_matrices(state)), compute_uv=False)
+    singular = np.asarray(state.exists & (sizes[..., -1] <= SINGULAR * sizes[..., 0]))
+    if singular.any() and not state.shape:
+        raise SingularConfigurationError("inverse", float(sizes[..., -1]))
+    return _regular(_columns(columns, state.shape), singular)
 
 
 def motion_rows(jacobian: FloatArray) -> FloatArray:
@@ -291,31 +295,34 @@ def stage_inverses(configuration: Configuration) -> FloatArray:
 
     NaN where `platform_jacobian` is; a single singular state raises an error.
     """
-    parts = [_stage_twists(configuration, along_axes=along_axes) for along_axes in (False, True)]
-    return np.concatenate(parts, axis=-1)
+    return _stage_twists(configuration, has_axes=True)
 
 
-def _stage_twists(configuration: Configuration, *, along_axes: bool) -> FloatArray:
-    """Return the twists (..., stages, 6, 3) for unit rates of the balls along the legs, or along the axes."""
+def _stage_twists(configuration: Configuration, *, has_axes: bool) -> FloatArray:
+    """Return the twists (..., stages, 6, 3) for unit rates of the balls along the legs, and (..., 6) along the axes."""
     state = check_configuration(configuration, existing=not configuration.shape)
-    along, axes = _directions(state)
-    first, second = (axes, along) if along_axes else (along, axes)
-    origin, stages = vector_of(state.translation), []
+    directions, origin, stages = _directions(state), vector_of(state.translation), []
+    singular = np.asarray(state.exists & np.isnan(directions[0]).any(axis=(-1, -2)))
+    # Components first: each operation of the formulas then runs along the states.
+    rows = [np.ascontiguousarray(np.moveaxis(x, (-2, -1), (0, 1))) for x in (state.balls, *directions)]
     with np.errstate(invalid="ignore", divide="ignore"):
         for k in range(len(state.machine.legs.kinds)):
-            b, f, a = (rows_of(x[..., 3 * k : 3 * k + 3, :]) for x in (state.balls, first, second))
-            stages.append(_columns(_twists(b, f, a, origin), state.shape))
-    if state.machine.is_stage:
-        singular = _are_singular_to_rounding(state, six_forces(state), "forward")
-    else:
-        singular = np.asarray(np.isnan(platform_jacobian(state)).any(axis=(-1, -2)))
+            b, f, a = (tuple(map(tuple, x[3 * k : 3 * k + 3])) for x in rows)
+            twists = *_twists(b, f, a, origin), *(_twists(b, a, f, origin) if has_axes else ())
+            stages.append(_columns(twists, state.shape))
+            singular |= _may_be_singular(b, f, a, state.machine.ball_side, SINGULAR)
+    if singular.any():
+        singular[singular] = _are_singular(state, np.argwhere(singular), "forward")
     return _regular(np.stack(stages, axis=-3), singular[..., None])
 
 
 def _columns(twists: Any, shape: tuple[int, ...]) -> FloatArray:
     """Return twists (v, ω) from formulas as the columns of matrices (..., 6, n)."""
-    rows = [np.stack(np.broadcast_arrays(*v, *w, np.zeros(shape))[:6], axis=-1) for v, w in twists]
-    return np.stack(rows, axis=-1)
+    matrices = np.empty((*shape, 6, len(twists)))
+    for j, (v, w) in enumerate(twists):
+        for i, x in enumerate((*v, *w)):
+            matrices[..., i, j] = x
+    return matrices
 
 
 def _regular(matrices: FloatArray, singular: BoolArray) -> FloatArray:
@@ -323,32 +330,25 @@ def _regular(matrices: FloatArray, singular: BoolArray) -> FloatArray:
     return np.where(singular[..., None, None], np.nan, matrices)
 
 
-def _are_singular_to_rounding(state: Configuration, matrices: FloatArray, kind: str) -> BoolArray:
-    """Return which matrices (..., n, n) of states are singular; a single one raises an error."""
-    sizes = np.linalg.svd(np.nan_to_num(matrices), compute_uv=False)
-    singular = state.exists & (sizes[..., -1] <= SINGULAR * sizes[..., 0])
-    if singular.any() and not state.shape:
-        raise SingularConfigurationError(kind, float(sizes[..., -1]))
-    return np.asarray(singular)
-
-
 def _are_singular(configuration: Configuration, indices: IntArray, kind: str) -> BoolArray:
     """Return which states at these indices (n, axes) are singular to rounding, "forward" or "inverse".
 
     For a single singular configuration, raise an error.
     """
-    some = configuration[tuple(indices.T)] if configuration.shape else configuration
-    matrices = force_matrices(some).reshape(-1, 3, 6, 6)
+    some, machine = configuration[tuple(indices.T)] if configuration.shape else configuration, configuration.machine
+    stages = stage_forces(some, some.middle_joints.mean(axis=-2), machine.ball_side)
+    stages = stages.reshape(-1, len(machine.legs.kinds), 6, 6)
     # An existing state has a row of NaN if the length of a leg is zero.
-    is_short = np.asarray(np.isnan(matrices).any(axis=(-1, -2, -3)))
-    values = np.linalg.svd(np.nan_to_num(matrices[:, :2] if kind == "forward" else matrices[:, 2:]), compute_uv=False)
+    is_short = np.asarray(np.isnan(stages).any(axis=(-1, -2, -3)))
+    matrices = stages if kind == "forward" else stages[..., 3:, :].reshape(-1, 1, 6, 6)
+    values = np.linalg.svd(np.nan_to_num(matrices), compute_uv=False)
     smallest = np.where(values[..., -1] <= SINGULAR * values[..., 0], values[..., -1], np.inf).min(axis=-1)
     singular = np.asarray(is_short | (smallest < np.inf))
     if configuration.shape or not singular.any():
         return singular
     if is_short.any():
         raise SingularConfigurationError("forward", 0.0)
-    structure = np.linalg.svd(matrices[0, :2, 3:], compute_uv=False)
+    structure = np.linalg.svd(stages[0, :, 3:], compute_uv=False)
     if (structure[:, -1] <= SINGULAR * structure[:, 0]).any():
         raise SingularConfigurationError("constraint", float(structure[:, -1].min()))
     raise SingularConfigurationError(kind, float(smallest.min()))
