@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable
 from functools import cache, cached_property
 from importlib import import_module
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -74,17 +75,23 @@ class _Command(TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Read the options; an error about a value shows the typed text and the expected number of values."""
-        typed = list(args)
+        options: dict[str, Any] = {name: parameter for parameter in self.params for name in parameter.opts}
+        typed: dict[Any, list[str]] = {}
+        for place, text in enumerate(args):
+            if text in options:
+                typed[options[text]] = list(takewhile(lambda value: not value.startswith("--"), args[place + 1 :]))
+        has_arguments = any(parameter.param_type_name == "argument" for parameter in self.params)
+        for parameter, values in typed.items():
+            if 1 < parameter.nargs != len(values) and not (has_arguments and len(values) > parameter.nargs):
+                raise typer.BadParameter(_numbers_expected(parameter, values), ctx=ctx, param=parameter)
         try:
-            return super().parse_args(ctx, args)
+            return super().parse_args(ctx, list(args))
         except typer.BadParameter as error:
-            parameter: Any = error.param
-            places = [k for k, text in enumerate(typed) if parameter and text in parameter.opts]
-            if len(places) == 1:
-                count = parameter.nargs
-                received = " ".join(typed[places[0] + 1 :][:count])
-                wanted = f"expected {count} numbers, {parameter.metavar}" if count > 1 else error.message
-                error.message = wanted if received in wanted else f"{wanted}, got {received}"
+            wrong: Any = error.param
+            if (values := typed.get(wrong, [])) and wrong.nargs > 1:
+                error.message = _numbers_expected(wrong, values)
+            elif values and values[0] not in error.message:
+                error.message += f", got {values[0]}"
             raise
 
     def invoke(self, ctx: Any) -> Any:
@@ -93,6 +100,10 @@ class _Command(TyperCommand):
             return super().invoke(ctx)
         except BrokenPipeError:
             raise typer.Exit(74) from None
+
+
+def _numbers_expected(parameter: Any, values: list[str]) -> str:
+    return f"expected {parameter.nargs} numbers, {parameter.metavar}, got {' '.join(values) or 'none'}"
 
 
 _COMMANDS = {
@@ -109,7 +120,6 @@ _COMMANDS = {
     "move": ("move", "either"),
     "statics": ("states", "either"),
     "write": ("export", "either"),
-    "urdf": ("export", "either"),
     "draw": ("draw", "either"),
     "view": ("draw", "either"),
     "export": ("export", "either"),
