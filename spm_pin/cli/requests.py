@@ -20,7 +20,7 @@ from spm_pin.kinematics.forward_displacement import forward_physical, starting_c
 from spm_pin.kinematics.inverse_displacement import inverse_displacement, inverse_physical
 from spm_pin.machine import FAMILIES, SolutionSet, Status, pose
 from spm_pin.machine.branch_of_state import branch_sign, family
-from spm_pin.machine.stage_configuration import BELOW
+from spm_pin.machine.solutions import BELOW
 
 Record = dict[str, Any]
 Triple = tuple[float, float, float]
