@@ -14,12 +14,12 @@ from spm_pin.cli import outputs
 from spm_pin.cli.options import Picture
 from spm_pin.cli.outputs import Part, Report, Table
 from spm_pin.cli.units import MachineInUnits
-from spm_pin.crosscheck.paper_shell import ERRATA, Shell, sample_positions_near_limits, workspace_shell
+from spm_pin.crosscheck.paper_shell import ERRATA, Shell, workspace_shell
 from spm_pin.display.figures import reach_figure
-from spm_pin.display.shell_plots import MESH_FORMATS, save_mesh, sections_figure, shell_figure
+from spm_pin.display.shell_plots import MESH_FORMATS, save_mesh, shell_figure
 from spm_pin.display.writing import FORMATS, fixed
-from spm_pin.errors import ArgumentError, require_extra
-from spm_pin.machine import LEGS, LegLimits
+from spm_pin.errors import require_extra
+from spm_pin.machine import LEGS
 from spm_pin.machine.manipulator import check_manipulator
 from spm_pin.workspace import ReachEnd, best_height, height_range
 from spm_pin.workspace import reach as largest_tilts
@@ -36,23 +36,18 @@ def workspace(
     ] = None,
     paper: Annotated[bool, Option("--paper", help="The 24 surfaces of the paper's Table 6, for RPS legs.")] = False,
     resolution: Annotated[int, Option(help="Increments of a varying leg for --paper, at least 2.")] = 40,
-    sections: Annotated[bool, Option("--sections", help="Draw sections of --paper, with reachable points.")] = False,
-    samples: Annotated[int, Option(min=1, help="Random sets of leg lengths for --sections.")] = 2_000_000,
 ) -> Report:
     """Compute where the platform's centre can be, in some orientation: boundary and volume of the reachable set.
 
     Example: spm-pin workspace --limits 110 150 --unit cm --out reached.png
 
     It takes the file of a calibrated machine as well. The volume is extrapolated from two meshes, with the spacing and
-    half of it. --paper computes the paper's shell, which is not the whole boundary: --sections shows where. It needs
-    the extra "workspace", and --out "plots".
+    half of it. --paper computes the paper's shell, which is not the whole boundary. It needs the extra
+    "workspace", and --out "plots".
     """
-    if sections and (out is None or not paper):
-        lacking = "no --out FILE" if paper else "no --paper"
-        raise ArgumentError("--sections", "--paper and a picture to draw them in", lacking)
     if out is not None:
         cause = "Maps over many poses are for spm-pin sweep" if out.suffix == ".zarr" else ""
-        outputs.check_output(out, "--out", FORMATS if sections else (*FORMATS, *MESH_FORMATS), cause)
+        outputs.check_output(out, "--out", (*FORMATS, *MESH_FORMATS), cause)
         require_extra("plots")
     machine, unit = check_manipulator(typed.machine, for_stage="For a stage see spm-pin stage reach"), typed.unit
     mesh: Shell | Boundary
@@ -69,10 +64,6 @@ def workspace(
     if out is not None and out.suffix.lower() in MESH_FORMATS:
         save_mesh(mesh, out)
         outputs.note(f"wrote {out}")
-    elif isinstance(mesh, Shell) and sections:
-        with outputs.stderr.status("drawing leg lengths"):
-            reached, aspect = sample_positions_near_limits(mesh.machine, mesh.limits, count=samples)
-        outputs.write_figure(out, sections_figure, mesh, reached, aspect)
     else:
         outputs.write_figure(out, shell_figure, mesh)
     return report
@@ -90,10 +81,12 @@ def _of_mesh(mesh: Shell | Boundary, volume: float, error: float, typed: Machine
         "volume": volume * scale,
         "volume_error": error * scale,
     }
+    ends = mesh.limits.ends * typed.scale
+    least, most = (", ".join(f"{x:g}" for x in (end[:1] if (end == end[0]).all() else end)) for end in ends)
     # The volume has one digit more than its error justifies.
     digits = 1 - math.floor(math.log10(error * scale)) if error else 0
     size, off = (f"{round(x * scale, n):.{max(0, n)}f}" for x, n in ((volume, digits), (error, digits - 1)))
-    return content, [*_limit_lines(mesh.limits, typed), f"volume {size} ± {off} {typed.unit}³"]
+    return content, [f"legs from {least} to {most} {typed.heading}", f"volume {size} ± {off} {typed.unit}³"]
 
 
 def _of_boundary(boundary: Boundary, estimate: Estimate, typed: MachineInUnits) -> tuple[Any, list[str]]:
@@ -143,17 +136,6 @@ def _of_shell(shell: Shell, typed: MachineInUnits, *, has_tables: bool) -> tuple
     lines.append(f"V - E + F = {vertices} - {edges} + {faces} = {shell.euler_characteristic}")
     lines.append("misprints read: " + ", ".join(f"{leg} of {name}" for name, leg in ERRATA))
     return content, [*([surfaces, volumes] if has_tables else []), *lines]
-
-
-def _limit_lines(limits: LegLimits, typed: MachineInUnits) -> list[str]:
-    """Return the limits in words, in one line if all legs have the same unit."""
-    units, lines = typed.content()["reading_units"], []
-    stages = {"lower legs": slice(0, 3), "upper legs": slice(3, 6)}
-    for place, legs in stages.items() if len(set(units)) > 1 else [("legs", slice(0, 6))]:
-        ends = (limits.ends * typed.scale)[:, legs]
-        least, most = (", ".join(f"{x:g}" for x in (end[:1] if (end == end[0]).all() else end)) for end in ends)
-        lines.append(f"{place} from {least} to {most} {units[legs.start]}")
-    return lines
 
 
 def reach(

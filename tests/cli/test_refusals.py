@@ -103,7 +103,6 @@ REFUSED = [
     ("workspace --limits 110 150", "--limits was read in m: 150 m, on a machine of 2.64 m"),
     ("workspace --out fig.jpg", "--out: expected a file name ending in .png, .svg, .pdf, .stl"),
     ("workspace --out map.zarr", "Maps over many poses are for spm-pin sweep"),
-    ("workspace --paper --sections", "--sections: expected --paper and a picture"),
 ]
 
 
