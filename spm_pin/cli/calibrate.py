@@ -35,20 +35,17 @@ def calibrate(
     out: MachineFile = None,
     figure: Picture = None,
     parameters: Annotated[
-        list[str] | None,
-        Option("--identify", metavar="NAME", help="Parameters, such as offset or r_b1; repeatable. Default: all."),
+        list[str] | None, Option("--identify", metavar="NAME", help="Such as offset or r_b1; repeatable. Default: all.")
     ] = None,
     pose_noise: Annotated[
         tuple[float, float] | None,
         Option(
             metavar="M RAD",
-            help="Standard deviations of positions or heights \\[m], and of orientations or tilts \\[rad]; default: "
-            "1e-5 1e-5, of heights, roll and pitch 5e-4 2e-3.",
+            help="Standard deviations of positions or heights, and of orientations or tilts; default: 1e-5 1e-5, "
+            "of heights, roll and pitch 5e-4 2e-3.",
         ),
     ] = None,
-    reading_noise: Annotated[
-        float, Option(metavar="M", help="Standard deviation of the readings \\[m], for RRS legs \\[rad].")
-    ] = 1e-6,
+    reading_noise: Annotated[float, Option(metavar="M", help="Standard deviation of readings \\[m or rad].")] = 1e-6,
     frames: Annotated[
         bool,
         Option("--frames", help="Estimate the frames too: of a tracker and its target, or of the base and an IMU."),
@@ -58,13 +55,10 @@ def calibrate(
         Option(
             "--tolerance",
             metavar="SIGMA",
-            help="Standard deviation of all dimensions as made \\[m, rad], or offset=SIGMA of some, which are named as "
-            "for --identify; repeatable. Unknown if not given.",
+            help="Standard deviation of dimensions as made \\[m, rad]; or NAME=SIGMA, as for --identify; repeatable.",
         ),
     ] = None,
-    loss: Annotated[
-        str, Option(help="linear refuses outliers; soft_l1, huber and cauchy give them less weight.")
-    ] = "linear",
+    loss: Annotated[str, Option(help="linear refuses outliers; soft_l1, huber, cauchy weigh them less.")] = "linear",
     force: Annotated[bool, Option("--force", help="Write --out even if the measurements do not fit.")] = False,
 ) -> Report:
     """Identify a machine from measured poses, or from tilts of an IMU and heights of a ruler, and leg readings.

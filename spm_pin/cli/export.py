@@ -36,26 +36,19 @@ def export(
     typed: MachineInUnits,
     format_: Annotated[Format, Argument(metavar="FORMAT", help="What to write.")],
     out: Annotated[
-        Path | None,
-        Option(metavar="FILE", parser=outputs.file_name, help="File or folder to write; default: standard output."),
+        Path | None, Option(metavar="FILE", parser=outputs.file_name, help="File or folder; default: standard output.")
     ] = None,
     prefix: Prefix = None,
     masses: Masses_ = None,
-    ros_constraints: Annotated[
-        bool, Option("--ros-constraints", help="urdf: add the <constraint> elements proposed for ROS.")
-    ] = False,
+    ros_constraints: Annotated[bool, Option("--ros-constraints", help="urdf: <constraint> elements for ROS.")] = False,
     collisions: Annotated[
-        Literal["exact", "simple", "none"] | None,
-        Option(help="mjcf: shapes that collide; simple has no cylinders, which MJX does not support with boxes."),
+        Literal["exact", "simple", "none"] | None, Option(help="mjcf: shapes that collide; simple for MJX.")
     ] = None,
     actuators: Annotated[
-        Literal["motors", "servos"] | None,
-        Option(help="mjcf: motors, the default for a robot, or servos, the default for a stage."),
+        Literal["motors", "servos"] | None, Option(help="mjcf: default: motors of a robot, servos of a stage.")
     ] = None,
     ball: Annotated[bool, Option("--ball", help="mjcf: a ball on the platform of a stage.")] = False,
-    loops: Annotated[
-        Literal["joints", "drake"] | None, Option(help="sdf: close loops by joints, or by Drake's elements.")
-    ] = None,
+    loops: Annotated[Literal["joints", "drake"] | None, Option(help="sdf: joints, or Drake's elements.")] = None,
 ) -> None:
     """Write the machine with closed loops in the format of another engine, or its kinematics in C.
 

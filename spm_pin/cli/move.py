@@ -106,16 +106,10 @@ def move(
         list[str] | None,
         Option(metavar="READINGS", help="Readings to pass, separated by commas; repeatable, in order."),
     ] = None,
-    leg_rates: Annotated[str | None, _largest("--leg-rate", "speed of a leg \\[m/s], for cranks \\[rad/s].")] = None,
-    leg_accelerations: Annotated[
-        str | None, _largest("--leg-acceleration", "acceleration of a leg \\[m/s²], for cranks \\[rad/s²].")
-    ] = None,
-    leg_forces: Annotated[
-        str | None, _largest("--leg-force", "force of a leg, pushing or pulling \\[N], for cranks \\[N m].")
-    ] = None,
-    leg_jerks: Annotated[
-        str | None, _largest("--leg-jerk", "jerk of a leg \\[m/s³], for cranks \\[rad/s³]: no jumps of the forces.")
-    ] = None,
+    leg_rates: Annotated[str | None, _largest("--leg-rate", "speed of a leg \\[m/s or rad/s].")] = None,
+    leg_accelerations: Annotated[str | None, _largest("--leg-acceleration", "acceleration \\[m/s² or rad/s²].")] = None,
+    leg_forces: Annotated[str | None, _largest("--leg-force", "force, pushing or pulling \\[N or N m].")] = None,
+    leg_jerks: Annotated[str | None, _largest("--leg-jerk", "jerk \\[m/s³ or rad/s³]: no jumps of forces.")] = None,
     twist: Annotated[_Ends, Option(metavar="V OMEGA", help="Speed limits of o \\[m/s] and turning \\[rad/s].")] = None,
     mass: Annotated[float, Option("--payload", help="Mass on the platform, at o \\[kg].")] = 0.0,
     hip: Annotated[_Ends, _range("the passive revolute joints, from home")] = None,

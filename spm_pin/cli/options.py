@@ -68,7 +68,11 @@ _MACHINE: OptionTable = {
     "rod": (float, "LENGTH", "Distance from knee or carriage to ball, in --unit; alone: PRS legs, without: RPS."),
     "slide": (float, "DEGREES", "Direction of the slides of PRS legs: 0 outwards, 90 upwards (default)."),
     "sign": (int, "±1", "Working mode: -1, knees outside and carriages below (default), or 1."),
-    "limits": (tuple[str, str], "MIN MAX", "Limits of the readings, each a number or one per leg, with commas."),
+    "limits": (
+        tuple[str, str],
+        "MIN MAX",
+        "Limits of the readings, a number or one per leg with commas; in degrees for cranks.",
+    ),
 }
 _MACHINE_NAMES = "--machine", "--stage", "--geometry"
 _ARGUMENTS = {"base": "base_radius", "platform": "platform_radius", "middle": "middle_side", "slide": "direction"}

@@ -195,13 +195,6 @@ def file_option(help_text: str, endings: Sequence[str] = (), extra: str = "") ->
     return typer.Option(metavar="FILE", help=help_text, parser=file_name, callback=check)
 
 
-def picture_option(help_text: str) -> Any:
-    """Return an option for a picture to write, like `file_option`."""
-    from spm_pin.display.writing import FORMATS
-
-    return file_option(help_text, FORMATS, "plots")
-
-
 def check_output(path: Path, option: str = "--out", endings: Sequence[str] = (), cause: str = "") -> None:
     """Raise `ArgumentError` if a file cannot be written later: its ending, its folder, its permissions."""
     if endings and path.suffix.lower() not in endings:

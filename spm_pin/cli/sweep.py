@@ -16,15 +16,7 @@ from typer import Argument, Option
 
 from spm_pin import sweeps
 from spm_pin.cli import outputs
-from spm_pin.cli.options import (
-    OF_MANIPULATOR,
-    MachineFile,
-    Picture,
-    Scheduler,
-    Seed,
-    Workers,
-    leg_numbers,
-)
+from spm_pin.cli.options import OF_MANIPULATOR, MachineFile, Picture, Scheduler, Seed, Workers, leg_numbers
 from spm_pin.cli.outputs import Report, Table
 from spm_pin.cli.units import MachineInUnits
 from spm_pin.design import VARIABLES, DesignProblem, Front, Task, pareto_front
@@ -72,7 +64,7 @@ def sweep(
     seed: Seed = 0,
     metrics: Annotated[list[str] | None, Option("--metric", metavar="NAME", help=_METRICS)] = None,
     length: Annotated[
-        float | None, Option(help="Characteristic length of conditioning and isotropy; default: platform's radius.")
+        float | None, Option(help="Length of conditioning, isotropy; default: platform's radius.")
     ] = None,
     push: Annotated[float, Option("--leg-force", help="Largest force of a leg, for the payloads [N].")] = 1.0,
     leg_stiffness: Annotated[float, Option(help="Stiffness of a leg, for the stiffnesses [N/m].")] = 1.0,
@@ -198,24 +190,21 @@ def _progress(out: Path) -> Iterator[Callable[[int, int], None]]:
         raise typer.Exit(130) from None
 
 
+def _bound(help_text: str) -> Any:
+    return Option(metavar="COLUMN:VALUE", help=help_text)
+
+
 def design(
     typed: MachineInUnits,
     store: Annotated[Path, Argument(metavar="STORE", help="JSON file of the search; one that exists is continued.")],
     free: Annotated[
         list[str],
-        Option(
-            metavar="NAME:LOW:HIGH",
-            help=f"A free dimension in metres, angles in radians: {', '.join(VARIABLES)}. Repeatable.",
-        ),
+        Option(metavar="NAME:LOW:HIGH", help=f"Free dimension \\[m, rad]: {', '.join(VARIABLES)}. Repeatable."),
     ],
     maximise: Annotated[list[str] | None, Option(metavar="COLUMN", help=f"Column to maximise: {_COLUMNS}.")] = None,
     minimise: Annotated[list[str] | None, Option(metavar="COLUMN", help="Column to minimise.")] = None,
-    at_least: Annotated[
-        list[str] | None, Option(metavar="COLUMN:VALUE", help="Lower bound, such as certified:1. Repeatable.")
-    ] = None,
-    at_most: Annotated[
-        list[str] | None, Option(metavar="COLUMN:VALUE", help="Upper bound, such as footprint:1.2. Repeatable.")
-    ] = None,
+    at_least: Annotated[list[str] | None, _bound("Lower bound, such as certified:1. Repeatable.")] = None,
+    at_most: Annotated[list[str] | None, _bound("Upper bound, such as footprint:1.2. Repeatable.")] = None,
     task: Annotated[
         Path | None,
         Option(metavar="CSV", help="Poses to be reached, columns x y z \\[m], qx qy qz qw: task_margin, task_effort."),
