@@ -29,7 +29,7 @@ OptionTable = dict[str, tuple[Any, str, str]]
 
 _SMALL_TURN = 1.5
 """Turns of a pose smaller than this may have been typed in radians [degrees]."""
-_INSET = 1e-4
+_INSET = 2e-5
 """Distance of a nearest state from the limits, as a fraction of the strokes: what is printed is rounded."""
 
 
