@@ -15,7 +15,7 @@ from typer import Option
 from spm_pin.cli import outputs
 from spm_pin.cli.draw import titled_branches
 from spm_pin.cli.options import Picture, Seed
-from spm_pin.cli.outputs import Part, Sentence, Table
+from spm_pin.cli.outputs import Part, Table
 from spm_pin.cli.outputs import Report as Shown
 from spm_pin.cli.requests import selected_labels
 from spm_pin.cli.units import MachineInUnits
@@ -92,7 +92,7 @@ def _exit_code(report: Report, failed: bool = False) -> int:
     return 130 if report.poses < report.requested else int(failed or not report.agrees)
 
 
-def _verdict(heading: str, report: Report) -> Sentence:
+def _verdict(heading: str, report: Report) -> tuple[str, str]:
     """Return the result of a comparison in one sentence, naming methods that did not solve every pose."""
     done, names = report.poses, []
     for score in report.scores:
@@ -105,7 +105,7 @@ def _verdict(heading: str, report: Report) -> Sentence:
     if done < report.requested:
         count = f"Interrupted after {done} of {report.requested} poses"
     line = f"{heading}{count}, {report.states} configurations, by {', '.join(names)}. {report.verdict}"
-    return Sentence(line, "bold green" if report.agrees else "bold red")
+    return line, "bold green" if report.agrees else "bold red"
 
 
 def _scores(report: Report) -> Table:
@@ -240,7 +240,7 @@ def reproduce(
     return Shown(content, parts, int(bool(reproduction.unexplained)))
 
 
-def _summary(heading: str, reproduction: Reproduction) -> Sentence:
+def _summary(heading: str, reproduction: Reproduction) -> tuple[str, str]:
     """Return the result in one sentence, with the counts of the tables, without the example's pose."""
     cells = reproduction.in_tables
     counts = Counter(cell.verdict for cell in cells)
@@ -251,7 +251,7 @@ def _summary(heading: str, reproduction: Reproduction) -> Sentence:
     others = ", ".join(f"{counts[verdict]} {word}" for verdict, word in words.items() if counts[verdict])
     if others:
         line += f", {'not all' if reproduction.unexplained else 'all'} others are explained: {others}"
-    return Sentence(f"{line}.", "bold red" if reproduction.unexplained else "bold green")
+    return f"{line}.", "bold red" if reproduction.unexplained else "bold green"
 
 
 def _tables_summary(reproduction: Reproduction) -> Table:

@@ -35,9 +35,7 @@ _OWN = {
 def export(
     typed: MachineInUnits,
     format_: Annotated[Format, Argument(metavar="FORMAT", help="What to write.")],
-    out: Annotated[
-        Path | None, Option(metavar="FILE", parser=outputs.file_name, help="File or folder; default: standard output.")
-    ] = None,
+    out: Annotated[Path | None, Option(metavar="FILE", help="File or folder; default: standard output.")] = None,
     prefix: Prefix = None,
     masses: Masses_ = None,
     ros_constraints: Annotated[bool, Option("--ros-constraints", help="urdf: <constraint> elements for ROS.")] = False,

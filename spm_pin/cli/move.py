@@ -10,7 +10,7 @@ import typer
 from typer import Option
 
 from spm_pin.cli import outputs
-from spm_pin.cli.options import OF_MANIPULATOR, Legs, LegsOption, Masses_, Picture, leg_numbers, read_masses
+from spm_pin.cli.options import OF_MANIPULATOR, Legs, Masses_, Picture, leg_numbers, read_masses
 from spm_pin.cli.outputs import Report, Table
 from spm_pin.cli.requests import Request
 from spm_pin.cli.units import MachineInUnits
@@ -98,8 +98,8 @@ def _range(help_text: str) -> Any:
 
 def move(
     typed: MachineInUnits,
-    start: Annotated[Legs | None, LegsOption(("--from",), "Readings at the start")] = None,
-    goal: Annotated[Legs | None, LegsOption(("--to",), "Readings at the end")] = None,
+    start: Annotated[Legs | None, "Readings at the start", "--from"] = None,
+    goal: Annotated[Legs | None, "Readings at the end", "--to"] = None,
     start_pose: Annotated[Request | None, "from-"] = None,
     goal_pose: Annotated[Request | None, "to-"] = None,
     via: Annotated[

@@ -35,18 +35,10 @@ OF_MANIPULATOR = "of a manipulator"
 
 
 class Legs(np.ndarray[Any, np.dtype[np.float64]]):
-    """Annotation of readings of all legs, which a command gets as an array in [m, rad]."""
+    """Annotation of readings of all legs, which a command gets as an array in [m, rad]; then help and names follow."""
 
 
-class LegsOption(NamedTuple):
-    """Names of an option for the readings of all legs, and what these are."""
-
-    names: tuple[str, ...]
-    what: str
-
-
-LEGS_NAMES = "--legs", "--readings"
-Readings = Annotated[Legs | None, LegsOption(LEGS_NAMES, "Readings of the legs instead of a pose,")]
+Readings = Annotated[Legs | None, "Readings of the legs instead of a pose,", "--legs", "--readings"]
 Masses_ = Annotated[
     Path | None, Option("--masses", metavar="FILE", help="YAML file of masses and payload; default: assumed masses.")
 ]
@@ -111,7 +103,7 @@ def make_command(function: Callable[..., Report | None], *, of_stage: bool) -> C
         elif Request in kinds:
             group = _request_group(TiltRequest if of_stage else Request, *extra, is_optional=is_optional)
         elif Legs in kinds:
-            group = _legs_group(parameter.name, extra[0], of_stage, is_optional=is_optional)
+            group = _legs_group(parameter.name, *extra, of_stage=of_stage, is_optional=is_optional)
         if group is None:
             parameters.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
         else:
@@ -197,15 +189,15 @@ def _request_group(request: type[Request], prefix: str = "", *, is_optional: boo
     return _Group(parameters, read)
 
 
-def _legs_group(name: str, option: LegsOption, of_stage: bool, *, is_optional: bool) -> _Group:
+def _legs_group(name: str, what: str, *names: str, of_stage: bool, is_optional: bool) -> _Group:
     """Return the option of six readings, or of three."""
     count, metavar = (3, "R1 R2 R3") if of_stage else (6, "B1 B2 B3 C1 C2 C3")
-    own = Option(*option.names, metavar=metavar, help=f"{option.what} in --unit, for cranks in degrees.")
+    own = Option(*names, metavar=metavar, help=f"{what} in --unit, for cranks in degrees.")
     parameter = _option(name, tuple[(float,) * count], own, is_required=not is_optional)  # type: ignore[misc]
 
     def read(given: Record, typed: MachineInUnits) -> FloatArray | None:
         (numbers,) = given.values()
-        return None if numbers is None else typed.read(option.names[0], numbers)
+        return None if numbers is None else typed.read(names[0], numbers)
 
     return _Group([parameter], read)
 

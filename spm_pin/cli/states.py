@@ -13,7 +13,7 @@ import numpy as np
 from typer import Option
 
 from spm_pin.cli import outputs, requests
-from spm_pin.cli.options import LEGS_NAMES, OF_MANIPULATOR, Branches, Legs, LegsOption, Readings
+from spm_pin.cli.options import OF_MANIPULATOR, Branches, Legs, Readings
 from spm_pin.cli.outputs import Report, Table
 from spm_pin.cli.requests import Record, Request, Triple
 from spm_pin.cli.units import MachineInUnits
@@ -119,7 +119,7 @@ def _parasitic(typed: MachineInUnits) -> Record:
 
 
 def forward(
-    legs: Annotated[Legs, LegsOption(LEGS_NAMES, "Readings of the legs")],
+    legs: Annotated[Legs, "Readings of the legs", "--legs", "--readings"],
     typed: MachineInUnits,
     every: Annotated[bool, Option("--all", help="Show every assembly mode, not only the physical one.")] = False,
     xyx: Annotated[bool, Option("--xyx", help="Print X-Y-X angles in degrees (default)."), OF_MANIPULATOR] = False,
