@@ -107,40 +107,30 @@ def _numbers_expected(parameter: Any, values: list[str]) -> str:
 
 
 _COMMANDS = {
-    "demo": ("crosscheck", "manipulator"),
-    "inverse": ("states", "either"),
-    "nearest": ("states", "either"),
-    "forward": ("states", "either"),
-    "reproduce": ("crosscheck", "manipulator"),
-    "crosscheck": ("crosscheck", "either"),
-    "singularities": ("states", "either"),
-    "certify": ("move", "either"),
-    "calibrate": ("calibrate", "either"),
-    "tolerance": ("calibrate", "either"),
-    "move": ("move", "either"),
-    "statics": ("states", "either"),
-    "write": ("export", "either"),
-    "draw": ("draw", "either"),
-    "view": ("draw", "either"),
-    "export": ("export", "either"),
-    "workspace": ("workspace", "manipulator"),
-    "reach": ("workspace", "stage"),
-    "sweep": ("sweep", "either"),
-    "design": ("sweep", "either"),
+    "crosscheck": ("demo", "reproduce", "crosscheck"),
+    "states": ("inverse", "nearest", "forward", "singularities", "statics"),
+    "draw": ("draw", "view"),
+    "workspace": ("workspace", "reach"),
+    "move": ("certify", "move"),
+    "calibrate": ("calibrate", "tolerance"),
+    "sweep": ("sweep", "design"),
+    "export": ("write", "export"),
 }
-"""The commands, named like their functions, in the order of the help: their files, and the machines that they take."""
+"""The commands, named like their functions, in the order of the help, by their files."""
+_OF_OTHERS = {False: {"reach"}, True: {"demo", "reproduce", "workspace"}}
+"""The commands that a manipulator, or a stage, does not have."""
 
 
 def _add_commands(group: typer.Typer, *, of_stage: bool) -> None:
     """Add the commands of a kind of machine; the help has the examples for it."""
-    wrong = "manipulator" if of_stage else "stage"
-    for name, (file, kind) in _COMMANDS.items():
-        if kind == wrong:
-            continue
-        # Typer would keep the line breaks of the docstring and wrap them again in a narrower window.
-        paragraphs = [" ".join(text.split()) for text in _docstrings(file)[name].split("\n\n")]
-        kept = [text for text in paragraphs if "Example" not in text or (": spm-pin stage " in text) == of_stage]
-        group.command(name, cls=_Command, help="\n\n".join(kept))(_loader(name, file, of_stage=of_stage))
+    for file, names in _COMMANDS.items():
+        for name in names:
+            if name in _OF_OTHERS[of_stage]:
+                continue
+            # Typer would keep the line breaks of the docstring and wrap them again in a narrower window.
+            paragraphs = [" ".join(text.split()) for text in _docstrings(file)[name].split("\n\n")]
+            kept = [text for text in paragraphs if "Example" not in text or (": spm-pin stage " in text) == of_stage]
+            group.command(name, cls=_Command, help="\n\n".join(kept))(_loader(name, file, of_stage=of_stage))
 
 
 def _loader(name: str, file: str, *, of_stage: bool) -> Callable[[], Callable[..., None]]:
