@@ -45,7 +45,7 @@ Masses_ = Annotated[
 Prefix = Annotated[str | None, Option("--prefix", help="Prefix of all names, such as left_.")]
 Branches = Annotated[list[str] | None, Option("--branch", metavar="LABEL", help="Branch, such as TT+; repeatable.")]
 Seed = Annotated[int, Option("--seed", min=0, help="Seed of the random numbers.")]
-Workers = Annotated[int | None, Option("--workers", min=1, help="Processes on this machine.")]
+Workers = Annotated[int | None, Option(min=1, help="Processes; default: one per processor, for design 1.")]
 Scheduler = Annotated[str | None, Option(metavar="ADDRESS", help="Dask scheduler: tcp://head:8786.")]
 Picture = Annotated[Path | None, file_option(f"Picture to write: {', '.join(FORMATS)}.", FORMATS, "plots")]
 MachineFile = Annotated[Path | None, file_option("YAML file of the machine to write.", (".yaml", ".yml"))]
