@@ -18,7 +18,7 @@ from spm_pin.display.writing import fixed
 from spm_pin.errors import ArgumentError, sentence
 from spm_pin.kinematics.forward_displacement import forward_physical, starting_configuration
 from spm_pin.kinematics.inverse_displacement import inverse_displacement, inverse_physical
-from spm_pin.machine import FAMILIES, SolutionSet, Status, pose
+from spm_pin.machine import FAMILIES, LegLimits, SolutionSet, Status, pose
 from spm_pin.machine.branch_of_state import branch_sign, family
 from spm_pin.machine.solutions import BELOW
 
@@ -165,7 +165,7 @@ class Request:
         if machine.limits is not None:
             ends = machine.limits.ends
             inset = _INSET * np.where(np.isfinite(ends).all(axis=0), ends[1] - ends[0], machine.size)
-            machine = replace(machine, limits=machine.limits_class(ends[0] + inset, ends[1] - inset))
+            machine = replace(machine, limits=LegLimits(ends[0] + inset, ends[1] - inset))
         with self._named():
             found = nearest_reachable_pose(machine, **self.arguments)
         return (found.configuration, found.distance) if found.configuration.exists else None

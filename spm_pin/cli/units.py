@@ -88,14 +88,14 @@ class MachineInUnits:
             raise ArgumentError(option, "angles of cranks in degrees, of at most one turn", f"{angles.max():g}")
         return np.asarray(readings / self.scale)
 
-    def read_limits(self, option: str, minimum: Any, maximum: Any) -> Any:
-        """Return typed limits, with a note on their unit if another one is likely."""
+    def read_limits(self, option: str, minimum: Any, maximum: Any) -> list[list[float]]:
+        """Return typed limits in [m, rad], with a note on their unit if another one is likely."""
         if hint := self.readings_hint(option, maximum):
             note(hint, "yellow")
         if (wrong := np.ravel(np.greater_equal(minimum, maximum))).any():
             low, high = (np.ravel(x)[wrong][0] for x in np.broadcast_arrays(minimum, maximum))
             raise ArgumentError(option, "minimum < maximum", f"{low:g} {high:g}", "Minimum and maximum exchanged?")
-        return self.machine.limits_class(self.read(option, minimum), self.read(option, maximum))
+        return [self.read(option, end).tolist() for end in (minimum, maximum)]
 
     def text(self, reading: float, leg: int) -> str:
         """Return a reading, in its unit, for a table."""
