@@ -15,7 +15,7 @@ move them alike and do not contribute. Angles of 180° solve the equations of ax
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -23,7 +23,6 @@ import pinocchio as pin
 from spm_pin.errors import ArgumentError
 from spm_pin.loops.closures import Anchor, Closure, JointEquality
 from spm_pin.loops.links import find_frame
-from spm_pin.loops.point_closures import PointRows
 from spm_pin.support.arguments import BoolArray, FloatArray, IntArray
 
 POSITION, ROTATION, AXIS, FORMS = 0, 3, 6, 8
@@ -32,18 +31,6 @@ _FORMS_OF_KIND = {"point": (0, 1, 2), "hinge": (0, 1, 2, 6, 7), "planar": (0, 1)
 _TURNING = ("RX", "RY", "RZ", "RevoluteUnaligned", "PX", "PY", "PZ", "PrismaticUnaligned", "RUBX", "RUBY", "RUBZ")
 SCALAR_JOINTS = "hinges and slides, whose value is one number"
 _JOINT_KINDS = (*_TURNING, "RevoluteUnboundedUnaligned", "Spherical", "Translation", "Planar", "FreeFlyer")
-
-
-class Linearised(NamedTuple):
-    """Equations, scaled to be dimensionless, at one configuration."""
-
-    residual: FloatArray
-    """Left sides (m,)."""
-    jacobian: FloatArray
-    """Derivatives by all joint velocities (m, nv), in units of `ConstraintRows.units`."""
-    levers: FloatArray
-    """Speed of p2 that each velocity brings about, over its entry of `ConstraintRows.turns` if it turns (closures, nv).
-    """
 
 
 class ConstraintRows:
@@ -64,7 +51,7 @@ class ConstraintRows:
     turns : ndarray, shape (closures, nv)
         Angular speed of frame 2 against frame 1 that each velocity brings about; it is the same in any configuration.
     lever_scales : ndarray, shape (closures, nv)
-        Factors from the speeds of p2 to `Linearised.levers`.
+        Factors from the speeds of p2, dimensionless, to the levers of `tree_kernel.linearised`.
     are_lengths : ndarray of bool, shape (m,)
         True for equations in m, False in rad.
     size : float
@@ -189,7 +176,7 @@ class ConstraintRows:
 
     @property
     def are_points(self) -> bool:
-        """True if `PointRows` has all equations."""
+        """True if `point_closures.PointRows` has all equations."""
         kinds = {closure.kind for closure in self.closures}
         return self.pose < 0 and not self.equalities and kinds == {"point"}
 
@@ -270,14 +257,6 @@ class ConstraintRows:
                 rows[len(self.forms) + k, driver] -= slope[0]
         return rows
 
-    def twists(self, data: Any, placed: tuple[FloatArray, ...]) -> FloatArray:
-        """Return the twists of frames 2 against frames 1 at p2, along the axes of frames 1 (closures, 6, nv)."""
-        first, tip, _ = placed
-        world = data.J * self.signs[:, None, :]
-        linear = world[:, :3] - np.cross(tip[:, :, None], world[:, 3:], axis=1)
-        axes = first.swapaxes(1, 2)
-        return np.concatenate([axes @ linear, axes @ world[:, 3:]], axis=1)
-
     def is_reversed(self, relative: FloatArray) -> list[str]:
         """Return the names of hinges and welds that hold the wrong way round: by 180°."""
         reversed_axes = []
@@ -286,46 +265,19 @@ class ConstraintRows:
                 reversed_axes.append(name)
         return reversed_axes
 
+    def widest(self, sides: FloatArray) -> tuple[float, str, str]:
+        """Return the distance or angle by which the worst loop or equality is open, its unit and name.
 
-class LoopKinematics:
-    """Equations of a `ConstraintRows` at one configuration after another, and the `pinocchio.Data` they use."""
-
-    def __init__(self, rows: ConstraintRows) -> None:
-        self.rows, self.data = rows, rows.model.createData()
-        self._points = PointRows(rows) if rows.are_points else None
-        self._columns = rows.units / rows.row_units[:, None]
-
-    def residual(self, q: FloatArray) -> FloatArray:
-        """Return the left sides (m,), dimensionless."""
-        pin.forwardKinematics(self.rows.model, self.data, q)
-        if self._points is not None:
-            self._points.update(self.data)
-            return np.asarray(self._points.residual() / self.rows.row_units)
-        relative = self.rows.placements_of(self.data)[2]
-        return np.asarray(self.rows.left_sides(q, relative) / self.rows.row_units)
-
-    def linearised(self, q: FloatArray) -> Linearised:
-        """Return the left sides and their derivatives, dimensionless."""
-        rows = self.rows
-        pin.computeJointJacobians(rows.model, self.data, q)
-        placed = rows.placements_of(self.data)
-        jacobian = rows.jacobian(q, self.data, placed)
-        scaled = rows.twists(self.data, placed) * rows.units
-        levers = np.sqrt((scaled[:, :3] ** 2).sum(axis=1)) * rows.lever_scales
-        return Linearised(rows.left_sides(q, placed[2]) / rows.row_units, jacobian * self._columns, levers)
-
-    def widest(self, q: FloatArray) -> tuple[float, str, str]:
-        """Return the distance or angle by which the worst loop or equality is open, its unit and name."""
-        rows = self.rows
-        pin.forwardKinematics(rows.model, self.data, q)
-        sides = np.abs(rows.left_sides(q, rows.placements_of(self.data)[2]))
-        if not len(sides):
+        `sides` (m,) are the left sides in m and rad, others may follow.
+        """
+        if not self.count:
             return 0.0, "m", ""
-        worst = int(np.argmax(sides / rows.row_units))
-        owners = np.concatenate([rows.forms // FORMS, -1 - np.arange(len(rows.equalities))])
-        is_length = bool(rows.are_lengths[worst])
-        alike = (owners == owners[worst]) & (rows.are_lengths == is_length)
-        return float(np.linalg.norm(sides[alike])), "m" if is_length else "rad", rows.labels[worst]
+        sides = np.abs(sides[: self.count])
+        worst = int(np.argmax(sides / self.row_units))
+        owners = np.concatenate([self.forms // FORMS, -1 - np.arange(len(self.equalities))])
+        is_length = bool(self.are_lengths[worst])
+        alike = (owners == owners[worst]) & (self.are_lengths == is_length)
+        return float(np.linalg.norm(sides[alike])), "m" if is_length else "rad", self.labels[worst]
 
 
 def _polynomial(coefficients: FloatArray, x: FloatArray) -> FloatArray:
