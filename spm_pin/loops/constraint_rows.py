@@ -69,6 +69,8 @@ class ConstraintRows:
         True for equations in m, False in rad.
     size : float
         Length of the longest loop [m].
+    pose_axes : ndarray, shape (3, 3)
+        Rotation matrix of the target, in whose axes the equations of a pose's rotation are.
     """
 
     def __init__(
@@ -81,15 +83,15 @@ class ConstraintRows:
     ) -> None:
         """Read the anchors; `q` is a configuration of typical size, from which loops are measured.
 
-        `pose`, a frame and components, adds equations of a weld between this frame and the universe. Frame 1
-        has the axes of the world, and `placements` follows the target.
+        `pose`, a frame and components, adds equations of a weld between this frame and the universe. Those of the
+        position are along the axes of the world; `placements` and `pose_axes` follow the target.
         """
         for joint in list(model.joints)[1:]:
             if joint.shortname().removeprefix("JointModel") not in _JOINT_KINDS:
                 expected = "joints that are hinges, slides, balls, planar or free"
                 raise ArgumentError("model", expected, f"{joint.shortname()} {model.names[joint.id]!r}")
         self.model, self.closures, self.equalities = model, tuple(closures), tuple(equalities)
-        self.pose = -1
+        self.pose, self.pose_axes = -1, np.eye(3)
         forms_of_pose: tuple[int, ...] = ()
         if pose is not None:
             self.pose, forms_of_pose = len(self.closures), tuple(pose[1])
@@ -216,7 +218,10 @@ class ConstraintRows:
             one, two = data.oMi[a] * at_a, data.oMi[b] * at_b
             first[k], tip[k] = one.rotation, two.translation
             relative.append(one.actInv(two).homogeneous)
-        return first, tip, np.array(relative).reshape(-1, 4, 4)
+        matrices = np.array(relative).reshape(-1, 4, 4)
+        if self.pose >= 0:
+            matrices[self.pose, :3, :3] = self.pose_axes.T @ matrices[self.pose, :3, :3]
+        return first, tip, matrices
 
     def left_sides(self, q: FloatArray, relative: FloatArray) -> FloatArray:
         """Return the left sides (m,) in m and rad of the frames 2 in frames 1 (closures, 4, 4)."""
@@ -252,6 +257,9 @@ class ConstraintRows:
             maps[:, [0, 1, 2], [0, 1, 2]] += 0.5 * np.trace(r, axis1=1, axis2=2)[:, None]
             maps[:, 3, 1], maps[:, 3, 2] = r[:, 2, 2], -r[:, 1, 2]
             maps[:, 4, 2], maps[:, 4, 0] = r[:, 0, 2], -r[:, 2, 2]
+            if self.pose >= 0:
+                axes = axes.copy()
+                axes[self.pose] = self.pose_axes.T
             wrenches[:, ROTATION:, 3:] = maps @ axes
         return np.asarray(wrenches.reshape(-1, 6)[self.forms])
 

@@ -49,8 +49,9 @@ from typing import Any
 
 import numpy as np
 
-DONE, SINGULAR_START, NO_FURTHER, OPEN_START = 0, 1, 2, 3
-"""Status of a path: target reached, Jacobian singular at the start, end before the target, loops open at the start."""
+DONE, SINGULAR_START, NO_FURTHER, OPEN_START, UNFINISHED = range(5)
+"""Status of a path: target reached, Jacobian singular at the start, end before the target, loops open at the start, and
+more steps than the problem allows."""
 LONGEST = 1.0
 """Largest step tried in any joint, dimensionless: in rad, or in units of `ConstraintRows.units`."""
 SHORTEST_STEP = 1e-7
@@ -352,6 +353,8 @@ def make_follower(
         """
         done, share, steps = 0.0, 1.0, 0
         while done < 1.0:
+            if steps == problem.most_steps:
+                return q, jacobian, inverse, off, UNFINISHED, done, steps
             end = done + share
             if end > 1.0 - 1e-12:
                 end = 1.0

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import copy
 import math
-import sys
 import threading
 from collections.abc import Sequence
 from typing import Any
@@ -16,14 +15,14 @@ from scipy.linalg import lapack
 
 from spm_pin.errors import ArgumentError, ClosureError
 from spm_pin.loops.assembly import assemble
+from spm_pin.loops.batched_state import at_index
 from spm_pin.loops.constraint_rows import FORMS, ROTATION, ConstraintRows, LoopKinematics
-from spm_pin.loops.continuation import CLOSED, OPEN_START, REGULAR, SINGULAR_START, make_follower
+from spm_pin.loops.continuation import CLOSED, OPEN_START, REGULAR, SINGULAR_START, UNFINISHED, make_follower
 from spm_pin.support.arguments import BoolArray, FloatArray, IntArray
 
-FEW = 64
-"""Largest number of targets that Pinocchio and NumPy solve, in about a millisecond each, if the kernel is not loaded.
-Loading takes half a second, compiling about 20 s."""
-_KERNEL = "spm_pin.loops.tree_kernel"
+FEW = 200
+"""Number of steps of paths in a process that are interpreted, in about a millisecond each. For further ones the kernel
+is loaded, which takes half a second, or compiled, once, in about 20 s."""
 BASE_AT_ORIGIN = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 """Position and quaternion of a free joint."""
 DEPENDENT = 1e-7
@@ -47,6 +46,8 @@ class Problem:
         Angle of the target's turn along the whole path [rad].
     pose_share : ndarray, shape (1,)
         Share of the path that the current step covers.
+    most_steps : int
+        Number of steps after which a path is left unfinished, negative for no such limit.
     drivers : ndarray, shape (equalities,)
         Values of the drivers of joint equalities at the start of the current step.
     first_rows, position_counts, row_counts : ndarray of int, shape (closures,)
@@ -55,6 +56,7 @@ class Problem:
 
     def __init__(self, rows: ConstraintRows, columns: IntArray, driven: IntArray, driven_in_v: IntArray) -> None:
         self.rows, self.columns, self.driven, self.driven_in_v = rows, columns, driven, driven_in_v
+        self.most_steps = -1
         self.pose = rows.pose
         self.at_frame = rows.placements[rows.pose][1] if rows.pose >= 0 else None
         closures = len(rows.closures)
@@ -91,8 +93,8 @@ class Problem:
         rotation = self.end.rotation if s == 1.0 else pin.exp3(s * self.turn) @ self.start.rotation
         start, end = self.start.translation, self.end.translation
         at = end if s == 1.0 else start + s * (end - start)
-        turned = self.at_frame * pin.SE3(rotation.T, np.zeros(3))
-        self.kinematics.rows.placements[self.pose] = [pin.SE3(np.eye(3), at), turned]
+        rows = self.kinematics.rows
+        rows.placements[self.pose], rows.pose_axes = [pin.SE3(np.eye(3), at), self.at_frame], rotation
 
 
 def residual(problem: Problem, q: FloatArray, s: float) -> FloatArray:
@@ -156,6 +158,9 @@ def _kernel() -> Any:
 class Follower:
     """Paths of one chain to values of its actuated joints, or to poses of a frame."""
 
+    interpreted_steps = FEW
+    """Number of steps, for all chains in this process, that may still be interpreted."""
+
     def __init__(self, chain: Any, frame: str | None, chosen: Sequence[int]) -> None:
         model, self.chain = chain.model, chain
         self.rows: ConstraintRows = chain.rows
@@ -211,42 +216,47 @@ class Follower:
             self._local.problem = found
         return found
 
-    def run(self, starts: FloatArray, targets: FloatArray, is_path: bool) -> FloatArray:
-        """Return q (n, nq) of n targets: from the start (nq,) along all, or each from its own (n, nq)."""
+    def run(self, starts: FloatArray, targets: FloatArray, is_path: bool, batch: tuple[int, ...]) -> FloatArray:
+        """Return q (n, nq) of n targets: from the start (nq,) along all, or each from its own (n, nq).
+
+        `batch` is the shape of the n targets for errors.
+        """
         results = np.empty((len(targets), starts.shape[-1]))
         if not len(targets):
             return results
-        starts, k, status, done, steps = np.array(starts, order="C", ndmin=2), 0, 0, 1.0, 0
+        starts, k, status, done, steps = np.array(starts, order="C", ndmin=2), 0, UNFINISHED, 1.0, 0
         if has_bases := len(self._bases) > 0:
             bases = starts[:, self._bases]
             if self.frame is None:
                 # Loops do not depend on where free bases are; far from the origin they would be rounded more.
                 starts[:, self._bases] = self._at_origin
-        kernel = _kernel() if len(targets) > FEW else sys.modules.get(_KERNEL)
-        if kernel is not None and (kernel.run.is_loaded or len(targets) > FEW):
-            aims = np.array(targets, order="C").reshape(len(targets), self._width)
-            k, status, done, steps = kernel.run.call(self._tree(kernel), starts, aims, is_path, results)
-        else:
+        if len(targets) <= Follower.interpreted_steps:
             problem, q = self.problem(), starts[0]
             for k, target in enumerate(targets):
+                problem.most_steps = Follower.interpreted_steps
                 problem.aim(q if is_path else starts[k], target)
                 q, status, done, steps = follow(problem, q if is_path else starts[k])
+                Follower.interpreted_steps -= steps
                 results[k] = q
                 if status:
                     break
+        if status == UNFINISHED:
+            kernel, aims = _kernel(), np.array(targets, order="C").reshape(len(targets), self._width)
+            k, status, done, steps = kernel.run.call(self._tree(kernel), starts, aims, is_path, results)
         if status:
-            raise self.explained(results[k], k, status, done, steps, targets[k])
+            index = tuple(int(i) for i in np.unravel_index(k, batch))
+            raise at_index(self.explained(results[k], status, done, steps, targets[k]), index)
         if has_bases:
             results[:, self._bases] = bases
         return results
 
     def compile(self) -> None:
         """Compile the kernel, or load it."""
-        empty = np.zeros((0, self._width))
-        kernel = _kernel()
+        empty, kernel = np.zeros((0, self._width)), _kernel()
         kernel.run.call(
             self._tree(kernel), np.array(self.chain.q0, ndmin=2), empty, True, np.zeros((0, self.chain.model.nq))
         )
+        Follower.interpreted_steps = 0
 
     def _tree(self, kernel: Any) -> Any:
         """Return the problem of this thread as arrays."""
@@ -255,9 +265,9 @@ class Follower:
         return self._local.tree
 
     def explained(
-        self, q: FloatArray, k: int, status: int, done: float, steps: int, target: FloatArray
+        self, q: FloatArray, status: int, done: float, steps: int, target: FloatArray
     ) -> ArgumentError | ClosureError:
-        """Return the error that says why a path ends at q, after a share `done` of the way to target k."""
+        """Return the error that says why a path ends at q, after a share `done` of the way to the target."""
         chain, problem = self.chain, self.problem()
         problem.aim(q, target)
         if status == OPEN_START:
@@ -284,13 +294,13 @@ class Follower:
                 "The target has more values than the chain has degrees of freedom: they would contradict each other",
             )
         cause = f"No further than {math.floor(1000.0 * done) / 10.0:g} % of the way"
-        cause += f" to member {k}" if k else ""
         if np.abs(residual(problem, q, 0.0)).max(initial=0.0) > 0.5 * CLOSED:
             loop = problem.kinematics.widest(q)[2]
             cause += f": equations of {loop!r} depend on each other, and begin to contradict each other there, as with"
             cause += " rounded dimensions. Fewer equations, as of a 'planar' closure, leave no such limit"
         else:
-            cause += ": a singularity, or the end of this assembly mode"
+            forward = "a forward singularity, or the end of this assembly mode"
+            cause += f": {forward if self.frame is None else 'an inverse singularity, or out of reach'}"
             cause += f". Not determined there: {listed}" if listed else ""
         # How open the loops, or how far the pose, would be with the target from here.
         there = moved(problem, q, 1.0, np.zeros(len(self.columns)))

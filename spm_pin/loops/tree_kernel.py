@@ -17,7 +17,6 @@ from typing import Any
 
 import numba
 import numpy as np
-import pinocchio as pin
 from numba.core import event, types
 from numba.core.typing.templates import AttributeTemplate
 from numba.extending import (
@@ -62,7 +61,6 @@ def tree_of(problem: Any, held: IntArray | tuple[()] = ()) -> SimpleNamespace:
     unknowns = np.full(rows.model.nv, -1)
     unknowns[problem.columns] = np.arange(len(problem.columns))
     orders = np.split(problem.loop_columns, problem.first_columns[1:-1]) if len(rows.signs) else []
-    frame = problem.at_frame or pin.SE3.Identity()
 
     def whole(values: Any) -> IntArray:
         return np.array(values, dtype=np.int64, order="C")
@@ -101,11 +99,10 @@ def tree_of(problem: Any, held: IntArray | tuple[()] = ()) -> SimpleNamespace:
         driven=whole(problem.driven),
         driven_in_v=whole(problem.driven_in_v),
         pose=problem.pose,
+        most_steps=-1,
         first_rows=whole(problem.first_rows),
         position_counts=whole(problem.position_counts),
         row_counts=whole(problem.row_counts),
-        frame_rotation=stacked(frame.rotation, 9),
-        frame_place=stacked(frame.translation, 3),
         gravity=stacked(rows.model.gravity.linear, 3),
         masses=stacked([inertia.mass for inertia in inertias]),
         levers=stacked([inertia.lever for inertia in inertias], 3),
@@ -121,6 +118,7 @@ def tree_of(problem: Any, held: IntArray | tuple[()] = ()) -> SimpleNamespace:
         turn=np.zeros(3),
         pose_rotations=np.zeros((2, 9)),
         pose_places=np.zeros((2, 3)),
+        pose_axes=np.zeros((1, 9)),
     )
 
 
@@ -402,7 +400,7 @@ def _aim_pose(tree, s):  # type: ignore[no-untyped-def]
         for i in range(3):
             start = tree.pose_places[0, i]
             tree.end_places[end, i] = start + s * (tree.pose_places[1, i] - start)
-    _put(product(matrix(tree.frame_rotation, 0), transposed(rotation)), tree.end_rotations, end + 1)
+    _put(rotation, tree.pose_axes, 0)
 
 
 @jit
@@ -419,12 +417,18 @@ def _equalities(tree, q, c):  # type: ignore[no-untyped-def]
 
 
 @inlined
+def _turning_axes(tree, loop, axes):  # type: ignore[no-untyped-def]
+    """Return the rotation matrix to the axes of the equations of rotation: for a pose to those of the target."""
+    return transposed(matrix(tree.pose_axes, 0)) if loop == tree.pose else axes
+
+
+@inlined
 def _left_sides(tree, rotations, origins, loop, axes, p2, c):  # type: ignore[no-untyped-def]
     """Write the left sides of the equations of a closure, and return the rotation matrix of frame 2 in frame 1."""
     gap = times(axes, plus(p2, scaled(point_of(tree, rotations, origins, loop, 0), -1.0)))
     r = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     if tree.position_counts[loop] < tree.row_counts[loop]:
-        r = product(axes, axes_of(tree, rotations, loop, 1))
+        r = product(_turning_axes(tree, loop, axes), axes_of(tree, rotations, loop, 1))
     first = tree.first_rows[loop]
     for row in range(first, first + tree.row_counts[loop]):
         c[row] = left_side(tree.forms[row], gap, r) / tree.row_units[row]
@@ -480,7 +484,7 @@ def linearised_at(tree, q, rotations, origins):  # type: ignore[no-untyped-def]
             for row in range(start, between):
                 jacobian[row, unknown] = v[0] if tree.forms[row] == 0 else v[1] if tree.forms[row] == 1 else v[2]
             if between < end:
-                w = times(axes, scaled(w, tree.loop_signs[k]))
+                w = times(_turning_axes(tree, loop, axes), scaled(w, tree.loop_signs[k]))
                 for row in range(between, end):
                     jacobian[row, unknown] = _turning(tree.forms[row], w, r)
             for row in range(start, end):
@@ -651,10 +655,7 @@ def _aim(tree, q, target):  # type: ignore[no-untyped-def]
             tree.driven_rates[column] = (target[k] - q[tree.driven[k]]) / tree.units[column]
         return
     rotations, origins = placed(tree, q)
-    joint = tree.ends[tree.pose, 1]
-    carrier = matrix(rotations, joint)
-    start = product(carrier, matrix(tree.frame_rotation, 0))
-    place = plus(times(carrier, vector(tree.frame_place, 0)), vector(origins, joint))
+    start, place = axes_of(tree, rotations, tree.pose, 1), point_of(tree, rotations, origins, tree.pose, 1)
     _put(start, tree.pose_rotations, 0)
     tree.pose_places[0, 0], tree.pose_places[0, 1], tree.pose_places[0, 2] = place
     for i in range(3):
