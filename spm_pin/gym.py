@@ -16,7 +16,7 @@ from spm_pin.description import Ball, actuated_joints, joint_values, mjcf_text
 from spm_pin.errors import ArgumentError, MissingExtraError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.stage_displacement import inverse_physical
-from spm_pin.machine import RRS, Stage, StageConfiguration
+from spm_pin.machine import RRS, Configuration, Stage
 from spm_pin.support.arguments import FloatArray, check_instance, real_array, real_number, type_and_value
 from spm_pin.workspace import height_range
 
@@ -28,7 +28,7 @@ except ImportError as error:
 
 OBSERVATION = ("ball_x", "ball_y", "ball_vx", "ball_vy", "roll", "pitch", "height", "roll_rate", "pitch_rate", "speed")
 """Names of the observation's components: place of the ball on the plate [m], and its velocity against the base [m/s],
-both along the platform's x and y; the platform's roll, pitch [rad] and height [m], as in `StageConfiguration`, and
+both along the platform's x and y; the platform's roll, pitch [rad] and height [m], as in `Configuration`, and
 their rates."""
 
 STEPS = 20
@@ -178,7 +178,7 @@ class BallBalancer(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
             self._renderer.close()
             self._renderer = None
 
-    def _random_state(self) -> StageConfiguration:
+    def _random_state(self) -> Configuration:
         """Return a state of the middle of the range of heights, within the limits."""
         (low, high), draw = self._heights, self.np_random.uniform
         heights = low + (high - low) * draw(0.25, 0.75, _TRIES)
@@ -192,7 +192,7 @@ class BallBalancer(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
             )
         return states[int(good.argmax())]
 
-    def _state(self, readings: npt.ArrayLike) -> StageConfiguration:
+    def _state(self, readings: npt.ArrayLike) -> Configuration:
         state = forward_physical(self.stage, readings)
         if state.shape or not state.exists:
             raise ArgumentError(
@@ -203,7 +203,7 @@ class BallBalancer(gymnasium.Env[FloatArray, npt.NDArray[np.float32]]):
     def _observed(self) -> tuple[FloatArray, dict[str, Any]]:
         """Return the observation, and the `info` of `reset` and `step`."""
         platform, velocity = self.data.body("platform"), np.zeros(6)
-        state = StageConfiguration.from_arrays(self.stage, platform.xmat.reshape(3, 3).copy(), platform.xpos.copy())
+        state = Configuration.from_arrays(self.stage, platform.xmat.reshape(3, 3).copy(), platform.xpos.copy())
         place = (self.data.body("ball").xpos - platform.xpos) @ state.rotation
         speed = self.data.joint("ball_free").qvel[:3] @ state.rotation
         kind = mujoco.mjtObj.mjOBJ_XBODY

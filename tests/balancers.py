@@ -40,28 +40,28 @@ def requests(height: float, count: int, seed: int = 0) -> tuple[npt.NDArray[np.f
     return normals, height * rng.uniform(0.9, 1.1, count)
 
 
-def existing_states(stage: spm.Stage, height: float, count: int, seed: int = 0) -> spm.machine.StageConfiguration:
+def existing_states(stage: spm.Stage, height: float, count: int, seed: int = 0) -> spm.Configuration:
     """Return the physical states of `requests` that exist."""
     normals, heights = requests(height, count, seed)
     states = spm.inverse_physical(stage, heights, normal=normals)
     return states[states.exists]
 
 
-def forward_determinants(states: spm.machine.StageConfiguration) -> npt.NDArray[np.float64]:
+def forward_determinants(states: spm.Configuration) -> npt.NDArray[np.float64]:
     """Return the determinants of the six forces about {B}'s origin, over d³, with the sign of home."""
-    vectors, axes = states.leg_vectors, states.stage.legs.axes
+    vectors, axes = states.leg_vectors, states.machine.legs.axes
     legs = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
     forces = np.concatenate([legs, np.broadcast_to(axes, legs.shape)], axis=-2)
     rows = np.concatenate([forces, np.cross(np.concatenate([states.balls] * 2, axis=-2), forces)], axis=-1)
-    return states.stage.kind.up * np.linalg.det(rows) / (np.sqrt(3.0) * states.stage.platform_radius) ** 3
+    return states.machine.kind.up * np.linalg.det(rows) / (np.sqrt(3.0) * states.machine.platform_radius) ** 3
 
 
-def equilibrium(state: spm.machine.StageConfiguration) -> npt.NDArray[np.float64]:
+def equilibrium(state: spm.Configuration) -> npt.NDArray[np.float64]:
     """Return the wrenches (6, 6) at o of the forces along the legs, per unit effort, and across their planes."""
-    legs, arms = state.stage.legs, state.balls - state.translation
+    legs, arms = state.machine.legs, state.balls - state.translation
     # The reading's change per move of the ball within its plane, by differences of the legs' own formula.
     outward, upward = legs.planes
-    changes, middles = [], state.stage.crank_middles
+    changes, middles = [], state.machine.crank_middles
     for axis in range(2):
         ends = (legs.readings(state.places + sign * STEP * np.eye(2)[axis], middles) for sign in (1.0, -1.0))
         changes.append(np.subtract(*ends) / (2.0 * STEP))

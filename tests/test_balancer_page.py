@@ -103,7 +103,7 @@ def test_readings_are_those_of_the_package(browser, kind: str, inside: bool) -> 
         check_copied_formula(page, stage, held)
 
 
-def check_copied_formula(page, stage: spm.Stage, held: spm.machine.StageConfiguration) -> None:
+def check_copied_formula(page, stage: spm.Stage, held: spm.Configuration) -> None:
     """Compare errors shown with those of balls at the plate's radius from a centre that stays."""
     outward, _ = stage.legs.planes
     down = -(held.normal[:2] * outward[:, :2]).sum(axis=-1)

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
-from spm_pin.machine import StageConfiguration
+from spm_pin.machine import Configuration
 
 pytestmark = pytest.mark.documents
 
@@ -17,7 +17,7 @@ STAGES = {f"{name} {k}": (stage, m.height) for name, m in MACHINES.items() for k
 INCH = 0.0254
 
 
-def over_the_reach(stage: spm.Stage) -> StageConfiguration:
+def over_the_reach(stage: spm.Stage) -> Configuration:
     """Return states of a stage at all heights, in all directions, to the end of what it reaches."""
     reach = spm.workspace.reach(stage, directions=24)
     tilts = reach.tilts[..., None] * np.linspace(0.0, 1.0, 12)
@@ -25,7 +25,7 @@ def over_the_reach(stage: spm.Stage) -> StageConfiguration:
     return spm.inverse_physical(stage, heights, tilt=tilts, azimuth=azimuths)
 
 
-def states_of(name: str, tilt: float, count: int = 12) -> StageConfiguration:
+def states_of(name: str, tilt: float, count: int = 12) -> Configuration:
     machine = MACHINES[name]
     azimuths = np.linspace(-np.pi, np.pi, count, endpoint=False)
     return spm.inverse_physical(machine.stage, machine.height, tilt=tilt, azimuth=azimuths)

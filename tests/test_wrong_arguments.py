@@ -177,7 +177,7 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "one_stage.configuration": lambda: STAGE_STATE,
     "one_stage.leg_rates.twist": lambda: np.zeros(3),
     "one_stage.acceleration_polytope.mass": lambda: np.diag([10.0, 1.0, 1.0]),
-    "StageConfiguration.pose": lambda: STAGE_STATE.pose,
+    "Configuration.pose": lambda: STAGE_STATE.pose,
     "Stage.from_parameters.parameters": lambda: STAGE.parameters,
     "Stage.base_radius": lambda: 0.08,
     "Stage.platform_radius": lambda: 0.09,
@@ -292,7 +292,7 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
 INPUTS = (
     "Configuration DesignProblem JointLimits LegLimits LegPath Legs Manipulator Masses Payload PlatformPath RigidBody"
 )
-INPUTS += " Ball Inclinations Stage StageConfiguration StageLimits"
+INPUTS += " Ball Inclinations Stage Configuration StageLimits"
 """Classes that users make themselves; the others are results, made by the package."""
 
 OTHER_WORDS = {

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 import spm_pin as spm
 from spm_pin.display import draw
-from spm_pin.machine import PRS, RRS, RealMachine, StageConfiguration, gallery
+from spm_pin.machine import PRS, RRS, Configuration, RealMachine, gallery
 from spm_pin.workspace import ReachEnd
 
 PAGE = Path(__file__).parents[1] / "howto/gallery.md"
@@ -28,27 +28,27 @@ ABOVE = 0.02
 """Height of the balls of the haptic device above the origin of its program [m]."""
 
 Array = npt.NDArray[np.float64]
-Formula = Callable[[StageConfiguration], Array]
+Formula = Callable[[Configuration], Array]
 """Readings (n, 3) that a program commands for the states (n,)."""
 
 
 # What the programs compute, each as a formula of its own in the stage's frame
 
 
-def straight_lines(wanted: StageConfiguration) -> Array:
+def straight_lines(wanted: Configuration) -> Array:
     """Put each ball at the plate's radius from a centre that stays, where the plate meets the plane of its leg."""
     radius, up, rise = wanted.stage.platform_radius, wanted.normal[:, 2:], -_slopes(wanted)
     length = np.hypot(up, rise)
     return _readings(wanted, radius * up / length, radius * rise / length)
 
 
-def straight_up(wanted: StageConfiguration) -> Array:
+def straight_up(wanted: Configuration) -> Array:
     """Put each ball as high as it is on the plate, and straight above where it is on the level one."""
     radius, rise = wanted.stage.platform_radius, -_slopes(wanted)
     return _readings(wanted, np.full_like(rise, radius), radius * rise)
 
 
-def third_leg_otherwise(wanted: StageConfiguration) -> Array:
+def third_leg_otherwise(wanted: Configuration) -> Array:
     """Put the balls where they are, but for the radius of the third, for which another expression stands."""
     nx, ny, nz = _turned(wanted.normal, 60.0)
     xx, c = nx**2, nz + 1.0
@@ -58,7 +58,7 @@ def third_leg_otherwise(wanted: StageConfiguration) -> Array:
     return _readings(wanted, radius * np.stack(shares, axis=-1), -radius * _slopes(wanted))
 
 
-def about_the_centre_by_x(wanted: StageConfiguration) -> Array:
+def about_the_centre_by_x(wanted: Configuration) -> Array:
     """Turn the plate about a centre that stays, with a twist, and take the radius of a ball from its x alone."""
     nx, ny, nz = _turned(wanted.normal, 30.0)
     roll, pitch = np.arctan2(-ny, nz), np.arcsin(nx)
@@ -68,7 +68,7 @@ def about_the_centre_by_x(wanted: StageConfiguration) -> Array:
     return _readings(wanted, balls[..., 0] / corners[:, 0], balls[..., 2])
 
 
-def about_the_centre(wanted: StageConfiguration) -> Array:
+def about_the_centre(wanted: Configuration) -> Array:
     """Turn the plate about a centre that stays, roll before pitch; distances from pivots to balls are the readings."""
     nx, ny, nz = _turned(wanted.normal, 30.0)
     turn = Rotation.from_euler("YX", np.stack([np.arctan2(nx, nz), -np.arcsin(ny)], -1))
@@ -77,7 +77,7 @@ def about_the_centre(wanted: StageConfiguration) -> Array:
     return np.asarray(np.linalg.norm(balls - wanted.stage.base_radius * _corners(), axis=-1))
 
 
-def balls_at_the_origin(wanted: StageConfiguration) -> Array:
+def balls_at_the_origin(wanted: Configuration) -> Array:
     """Shift the plate of pivots as if the fixed balls were at the height of the origin, 20 mm below where they are."""
     over = np.diag([1.0, -1.0, -1.0])  # the stage turned over: balls below, pivots above
     r = over @ np.swapaxes(wanted.rotation, -1, -2) @ over
@@ -112,7 +112,7 @@ PROGRAMS: dict[str, tuple[Formula | None, str]] = {
 """The formula of each program, None where it has none that is off; and what it does, in words."""
 
 
-def _slopes(wanted: StageConfiguration) -> Array:
+def _slopes(wanted: Configuration) -> Array:
     """Return the normals' components along the legs' radial directions, (n, 3)."""
     return np.asarray(wanted.normal[:, :2] @ spm.machine.legs.RADIAL[:, :2].T)
 
@@ -131,7 +131,7 @@ def _placed(turn: Rotation) -> Array:
     return np.asarray(_corners() @ np.swapaxes(turn.as_matrix(), -1, -2))
 
 
-def _readings(wanted: StageConfiguration, radii: Array, rises: Array) -> Array:
+def _readings(wanted: Configuration, radii: Array, rises: Array) -> Array:
     """Return the readings for balls (n, 3) at these radii, and so much above the plate's centre, by their legs."""
     places = np.stack([radii - wanted.stage.base_radius, wanted.height[:, None] + rises], axis=-1)
     return np.asarray(wanted.stage.kind.readings(places, wanted.stage.crank_middles))
@@ -233,9 +233,7 @@ def picture() -> Figure:
     for ax, (name, entry) in zip(axes.flat, gallery().items(), strict=True):
         if len(entry.stages) == 2:
             machine = spm.Manipulator.of_stages(*entry.stages)
-            state: spm.Configuration | StageConfiguration = spm.forward_physical(
-                machine, [1.2, 1.25, 1.3, 1.3, 1.25, 1.2]
-            )
+            state: spm.Configuration = spm.forward_physical(machine, [1.2, 1.25, 1.3, 1.3, 1.25, 1.2])
         else:
             tilt = min(np.radians(10.0), spm.workspace.reach(entry.stage, entry.height).all_round[0] / 2.0)
             state = spm.inverse_physical(entry.stage, entry.height, tilt=tilt, azimuth=0.5)

@@ -24,12 +24,12 @@ from scipy.spatial.transform import Rotation
 
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.rates_and_forces import stage_inverses
-from spm_pin.machine import Configuration, Machine, StageConfiguration
-from spm_pin.machine.configuration import check_state
+from spm_pin.machine import Configuration, Machine
+from spm_pin.machine.configuration import check_configuration
 from spm_pin.support.arguments import BoolArray, FloatArray, check_instance, real_array, real_number
 
 
-def error_jacobian(configuration: Configuration | StageConfiguration) -> FloatArray:
+def error_jacobian(configuration: Configuration) -> FloatArray:
     """Return how the platform moves in states (...) per error of each parameter, at constant readings.
 
     Returns
@@ -48,7 +48,7 @@ def error_jacobian(configuration: Configuration | StageConfiguration) -> FloatAr
     >>> (jacobian @ errors)[:3].round(6)
     array([-1.83e-04, -2.16e-04, -3.50e-05])
     """
-    state = check_state(configuration)
+    state = check_configuration(configuration)
     legs = state.machine.legs
     count = len(legs.names)
     outward = np.where(np.arange(count) < 3, 1.0, -1.0)[:, None]

@@ -13,7 +13,7 @@ import scipy
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from spm_pin.calibration.error_model import error_jacobian
-from spm_pin.machine.batched import Batched
+from spm_pin.machine.configuration import Configuration
 from spm_pin.support.arguments import FloatArray
 from spm_pin.support.pose import homogeneous
 
@@ -36,7 +36,7 @@ class Frames:
         return cls(np.eye(4), np.eye(4))
 
     @classmethod
-    def estimated(cls, states: Batched, measured: FloatArray) -> Frames:
+    def estimated(cls, states: Configuration, measured: FloatArray) -> Frames:
         """Return the frames with which poses (N, 4, 4), seen by the tracker, are nearest to states (N,).
 
         The place of the target is searched for, with the base for each that fits all positions best. Where rotations
@@ -67,7 +67,7 @@ class Frames:
         return cls(*(RigidTransform.from_components(*pair).as_matrix() for pair in pairs))
 
     @classmethod
-    def levelled(cls, states: Batched, measured: FloatArray) -> Frames:
+    def levelled(cls, states: Configuration, measured: FloatArray) -> Frames:
         """Return the frames with which verticals and heights, of poses (N, 4, 4), are nearest to states (N,)."""
         seen, heights, turn = measured[:, :3, :3], measured[:, 2, 3], Rotation.identity()
         rotations, up, point = states.rotation, np.array([0.0, 0.0, 1.0]), np.zeros(3)
@@ -93,7 +93,7 @@ class Frames:
         frames[:, :3, 3] += moves[:, :3, 3]
         return Frames(*frames)
 
-    def seen(self, states: Batched) -> FloatArray:
+    def seen(self, states: Configuration) -> FloatArray:
         """Return the poses (N, 4, 4) of the target in the tracker's frame, in states (N,)."""
         return np.asarray(self.base @ states.pose.as_matrix() @ self.target)
 

@@ -30,9 +30,8 @@ from spm_pin.calibration.measurements import MeasurementError, Measurements, tot
 from spm_pin.calibration.observables import OBSERVABLES, Observable
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.random_states import random_states
-from spm_pin.machine import Configuration, Machine, StageConfiguration, as_rigid_transform
-from spm_pin.machine.batched import Batched
-from spm_pin.machine.configuration import check_state
+from spm_pin.machine import Configuration, Machine, as_rigid_transform
+from spm_pin.machine.configuration import check_configuration
 from spm_pin.machine.machine import check_machine
 from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, as_bool, choice, generator, whole_number
 
@@ -138,7 +137,7 @@ class Calibration(Generic[M]):
         self._check_status()
         return self.fitted
 
-    def accuracy(self, configuration: Configuration | StageConfiguration) -> FloatArray:
+    def accuracy(self, configuration: Configuration) -> FloatArray:
         """Return the covariance (..., 6, 6) of the platform's predicted pose (displacement, rotation) [m, rad], in {B}.
 
         The states (...) are anywhere, of this machine or of the nominal one. `MeasurementError` as for `machine`.
@@ -491,7 +490,7 @@ def choose_poses(
     machine: Machine,
     count: int = 40,
     *,
-    candidates: int | Configuration | StageConfiguration = 500,
+    candidates: int | Configuration = 500,
     parameters: Collection[str] | str | None = None,
     measured: str = "poses",
     pose_noise: npt.ArrayLike | None = None,
@@ -507,7 +506,7 @@ def choose_poses(
         The machine as it is known before.
     count : int
         Number of poses.
-    candidates : int, Configuration or StageConfiguration
+    candidates : int, Configuration
         Candidates: states of shape (M,), or the number of states drawn uniformly within the leg limits.
     parameters, pose_noise, reading_noise, frames
         As for `identify`.
@@ -518,7 +517,7 @@ def choose_poses(
 
     Returns
     -------
-    Configuration or StageConfiguration
+    Configuration
         States of shape (count,), the most informative first; each candidate at most once.
     """
     machine = check_machine(machine)
@@ -537,10 +536,10 @@ def choose_poses(
     return states[np.array(_exchanged(rows, count))]
 
 
-def given_or_drawn(machine: Machine, states: Batched | int, argument: str, rng: object) -> Any:
+def given_or_drawn(machine: Machine, states: Configuration | int, argument: str, rng: object) -> Any:
     """Return the states (N,) given, or a number of them at leg readings drawn uniformly from the limits."""
-    if isinstance(states, Batched):
-        if len(check_state(states, argument, existing=True).shape) != 1:
+    if isinstance(states, Configuration):
+        if len(check_configuration(states, argument, existing=True).shape) != 1:
             raise ArgumentError(argument, "states along one axis", f"shape {states.shape}")
         return states
     wanted = whole_number(states, argument, least=1)

@@ -20,7 +20,7 @@ from spm_pin.errors import ArgumentError, SingularConfigurationError, raised_as
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.rates_and_forces import platform_jacobian
 from spm_pin.machine import LEGS, STAGE_LEGS, Machine, as_rigid_transform
-from spm_pin.machine.batched import Batched
+from spm_pin.machine.configuration import Configuration
 from spm_pin.machine.machine import unit_hint
 from spm_pin.support.arguments import (
     LARGEST,
@@ -126,11 +126,11 @@ class Measurements:
         """Mask of the measured components of each row, (N, n)."""
         return ~np.isnan(self.observable.errors(np.tile(np.eye(4), (len(self.poses), 1, 1)), self.poses))
 
-    def states(self, machine: Any) -> Batched:
+    def states(self, machine: Any) -> Configuration:
         """Return the states (N,) of a machine with the readings; missing if it has no such state."""
         impossible = np.any(self._impossible(machine), axis=-1)
         possible = np.where(impossible[:, None], machine.legs.offsets + 1.0, self.readings)
-        states: Batched = forward_physical(machine, possible).transformed(
+        states: Configuration = forward_physical(machine, possible).transformed(
             lambda array, inner: np.where(impossible.reshape(-1, *[1] * inner), np.nan, array)
         )
         return states

@@ -91,7 +91,7 @@ class Inclinations:
     ----------
     roll, pitch : array_like, shape (N,), optional
         Roll and pitch of the IMU [rad], as in ROS: in its frame the vertical is (-sin pitch, cos pitch sin roll, cos
-        pitch cos roll). Those of `StageConfiguration.roll` and `.pitch` but for the torsion.
+        pitch cos roll). Those of `Configuration.roll` and `.pitch` but for the torsion.
     height : array_like, shape (N,), optional
         Height of the platform's origin, or of another mark on it, along the vertical [m].
 

@@ -13,7 +13,7 @@ from spm_pin.calibration.error_model import error_jacobian, pose_errors, prior_d
 from spm_pin.calibration.identification import given_or_drawn
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.forward_displacement import forward_physical
-from spm_pin.machine import Configuration, Machine, StageConfiguration
+from spm_pin.machine import Configuration, Machine
 from spm_pin.machine.machine import check_machine
 from spm_pin.support.arguments import FloatArray, choice, generator, real_number, whole_number
 
@@ -22,7 +22,7 @@ from spm_pin.support.arguments import FloatArray, choice, generator, real_number
 class ToleranceAnalysis:
     """Errors of the platform of machines whose dimensions are normally distributed, at N states."""
 
-    states: Configuration | StageConfiguration
+    states: Configuration
     """The states of the machine without errors, shape (N,)."""
     deviations: FloatArray
     """Standard deviations of the parameters [m, rad], `Machine.parameter_names`, shape (n,)."""
@@ -78,7 +78,7 @@ class ToleranceAnalysis:
 def tolerance(
     machine: Machine,
     tolerances: Mapping[str, float] | npt.ArrayLike,
-    states: Configuration | StageConfiguration | int = 60,
+    states: Configuration | int = 60,
     *,
     samples: int = 200,
     rng: Any = None,
@@ -93,7 +93,7 @@ def tolerance(
         Standard deviations [m, rad]: of each of `Machine.parameter_names`, or under names of parameters, components
         such as "pivot_x", kinds ("direction", "pivot", "ball", "offset", and "rod", "crank" of legs that have them) or
         legs; a later name replaces an earlier one, and parameters without a name have no error.
-    states : Configuration, StageConfiguration or int
+    states : Configuration or int
         States of shape (N,), or the number of states to draw uniformly within the leg limits.
     samples : int
         Random machines for the Monte Carlo analysis; 0 for none.

@@ -33,9 +33,9 @@ import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics import inverse_jacobian, platform_jacobian
-from spm_pin.kinematics.rates_and_forces import State, stage_inverses
+from spm_pin.kinematics.rates_and_forces import stage_inverses
 from spm_pin.kinematics.stage_rates import motion_rows
-from spm_pin.machine.configuration import check_state
+from spm_pin.machine.configuration import Configuration, check_configuration
 from spm_pin.support.arguments import (
     BoolArray,
     FloatArray,
@@ -293,13 +293,13 @@ class Polytope:
 
 
 def wrench_polytope(
-    configuration: State, force_limits: npt.ArrayLike, *, load: npt.ArrayLike | None = None
+    configuration: Configuration, force_limits: npt.ArrayLike, *, load: npt.ArrayLike | None = None
 ) -> Polytope:
     """Return the wrenches onto the terminal platform that the legs hold within limits of their forces.
 
     Parameters
     ----------
-    configuration : Configuration or StageConfiguration
+    configuration : Configuration
         States of shape (...).
     force_limits : array_like, shape (), (6,) or (2, 6); for a stage (), (3,) or (2, 3)
         Largest effort of each actuator in either sense [N] ([N m] for RRS legs); or the least, which is negative, and
@@ -330,12 +330,12 @@ def wrench_polytope(
     return _polytope(rows, bounds, offset, partial(_wrenches_of_forces, configuration) if is_square else None)
 
 
-def velocity_polytope(configuration: State, rate_limits: npt.ArrayLike) -> Polytope:
+def velocity_polytope(configuration: Configuration, rate_limits: npt.ArrayLike) -> Polytope:
     """Return the twists of the platform that limits of the leg rates allow.
 
     Parameters
     ----------
-    configuration : Configuration or StageConfiguration
+    configuration : Configuration
         States of shape (...).
     rate_limits : array_like, shape (), (6,) or (2, 6); for a stage (), (3,) or (2, 3)
         Largest rate of each reading [m/s] ([rad/s] for RRS legs), in either sense; or the least, which is negative, and
@@ -354,7 +354,7 @@ def velocity_polytope(configuration: State, rate_limits: npt.ArrayLike) -> Polyt
 
 
 def acceleration_polytope(
-    configuration: State,
+    configuration: Configuration,
     force_limits: npt.ArrayLike,
     mass: npt.ArrayLike,
     load: npt.ArrayLike | None = None,
@@ -363,7 +363,7 @@ def acceleration_polytope(
 
     Parameters
     ----------
-    configuration : Configuration or StageConfiguration
+    configuration : Configuration
         States of shape (...).
     force_limits : array_like
         As for `wrench_polytope`.
@@ -382,7 +382,7 @@ def acceleration_polytope(
         `wrench_polytope`.
     """
     bounds = _limits_of(configuration, force_limits, "force_limits", "efforts of the actuators", "N", "N m")
-    check_state(configuration)
+    check_configuration(configuration)
     forces = -motion_rows(platform_jacobian(configuration)).mT
     matrix = symmetric_matrices(mass, "mass", forces.shape[-1], "in kg, kg m, kg m²", allow_nan=True, positive=True)
     broadcastable("mass", matrix.shape[:-2], "the configuration", configuration.shape)
@@ -390,13 +390,13 @@ def acceleration_polytope(
     return _polytope(-forces @ matrix, bounds, offset, partial(_accelerations_of_forces, configuration, matrix))
 
 
-def joint_reactions(configuration: State) -> JointReactions:
+def joint_reactions(configuration: Configuration) -> JointReactions:
     """Return the reactions in states (...) at the ball and revolute joints to a wrench onto the terminal platform.
 
     Weights and friction are left out, the structure is rigid. NaN for a member that does not exist; raises
     `SingularConfigurationError` at a forward or a constraint singularity, where the legs do not hold the platform.
     """
-    check_state(configuration)
+    check_configuration(configuration)
     rows = -stage_inverses(configuration).mT
     shape = rows.shape[:-3]
     along, axial = (rows[..., k, :].reshape(*shape, -1, 6) for k in (slice(3), slice(3, 6)))
@@ -409,10 +409,10 @@ def joint_reactions(configuration: State) -> JointReactions:
 
 
 def _limits_of(
-    configuration: State, value: npt.ArrayLike, argument: str, meaning: str, *units: str
+    configuration: Configuration, value: npt.ArrayLike, argument: str, meaning: str, *units: str
 ) -> tuple[FloatArray, FloatArray]:
     """Return `leg_bounds` in the units of lengths and of angles that the legs of a configuration have."""
-    legs = check_state(configuration).machine.legs
+    legs = check_configuration(configuration).machine.legs
     return leg_bounds(value, argument, f"{meaning} in {legs.unit_text(*units)}", most=_MOST, count=len(legs.names))
 
 
@@ -435,15 +435,15 @@ def _polytope(
     return Polytope(np.broadcast_to(rows, (*lower.shape, rows.shape[-1])), lower, upper, columns)
 
 
-def _wrenches_of_forces(configuration: State) -> FloatArray:
+def _wrenches_of_forces(configuration: Configuration) -> FloatArray:
     return -inverse_jacobian(configuration).mT
 
 
-def _twists_of_rates(configuration: State) -> FloatArray:
+def _twists_of_rates(configuration: Configuration) -> FloatArray:
     return motion_rows(platform_jacobian(configuration))
 
 
-def _accelerations_of_forces(configuration: State, mass: FloatArray) -> FloatArray:
+def _accelerations_of_forces(configuration: Configuration, mass: FloatArray) -> FloatArray:
     absent = np.isnan(mass).any(axis=(-1, -2), keepdims=True)
     wrenches = np.where(absent, np.nan, inverse_jacobian(configuration).mT)
     return np.linalg.solve(np.where(absent, np.eye(mass.shape[-1]), mass), wrenches)

@@ -20,7 +20,7 @@ from spm_pin.kinematics.forward_displacement import forward_physical, starting_c
 from spm_pin.kinematics.inverse_displacement import inverse_displacement, inverse_physical
 from spm_pin.machine import FAMILIES, LegLimits, SolutionSet, Status, pose
 from spm_pin.machine.branch_of_state import branch_sign, family
-from spm_pin.machine.stage_configuration import BELOW
+from spm_pin.machine.solutions import BELOW
 
 Record = dict[str, Any]
 Triple = tuple[float, float, float]
@@ -273,7 +273,7 @@ class TiltRequest(Request):
         # If the level platform is beyond the limits, less tilt may be as well.
         tilts, azimuths = np.meshgrid(np.maximum(tilt + _BESIDE, 0.0), azimuth + _BESIDE, indexing="ij")
         places = {"tilt": np.radians(tilts), "azimuth": np.radians(azimuths)}
-        states = inverse_physical(nearest.stage, level / unit.per_metre, **places)
+        states = inverse_physical(nearest.machine, level / unit.per_metre, **places)
         counts = states.exists & (states.limit_excess == 0.0).all(axis=-1)
         first = int(counts.argmax())
         text = f"--tilt {fixed(tilts.flat[first], 3)} --azimuth {fixed(azimuths.flat[first], 5)}"

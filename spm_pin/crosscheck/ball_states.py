@@ -12,7 +12,6 @@ import numpy as np
 from spm_pin.machine import Configuration
 from spm_pin.machine.legs import triangle_frames
 from spm_pin.machine.machine import Machine
-from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.support.arguments import FloatArray
 
 
@@ -28,7 +27,7 @@ def states_with_balls(machine: Any, poses: FloatArray, balls: FloatArray) -> Any
         return Configuration.from_arrays(machine, poses[..., :3, :3], poses[..., :3, 3], balls)
     own = machine.legs.balls
     rotation = triangle_frames(balls) @ triangle_frames(own).T
-    return StageConfiguration.from_arrays(machine, rotation, balls.mean(axis=-2) - rotation @ own.mean(axis=0))
+    return Configuration.from_arrays(machine, rotation, balls.mean(axis=-2) - rotation @ own.mean(axis=0))
 
 
 def closure_residuals(states: Any, poses: FloatArray, balls: FloatArray) -> FloatArray:

@@ -19,8 +19,8 @@ from spm_pin.crosscheck.paper import resultant
 from spm_pin.crosscheck.paper.jacobian import CORRECT, J_f, Table5Mistakes, f_r
 from spm_pin.errors import ArgumentError, GeometryError
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
-from spm_pin.kinematics.rates_and_forces import State, inverse_jacobian, leg_forces
-from spm_pin.machine import SolutionSet, StageConfiguration
+from spm_pin.kinematics.rates_and_forces import inverse_jacobian, leg_forces
+from spm_pin.machine import Configuration, SolutionSet
 from spm_pin.machine.machine import Machine
 from spm_pin.machine.manipulator import check_rps
 from spm_pin.support.arguments import FloatArray
@@ -28,8 +28,6 @@ from spm_pin.support.arguments import FloatArray
 ROUNDING = 64.0 * float(np.finfo(np.float64).eps)
 """Closure residual of a backward stable route, relative to the size of the robot: the closed form's worst
 over 10⁵ poses is 45 eps, see `docs/theory/inverse_displacement.md`."""
-Branches = SolutionSet | SolutionSet[StageConfiguration]
-"""The branches of a manipulator or of a stage."""
 _REFINE = 30
 """Newton steps on Eq. (13): near a double root four leave residuals a thousand times as large as rounding."""
 
@@ -47,28 +45,28 @@ class Method:
     share: float = 1.0
     """Fraction of the poses that it solves, less than one for slow methods."""
 
-    def inverse(self, pose: RigidTransform) -> Branches | None:
+    def inverse(self, pose: RigidTransform) -> SolutionSet | None:
         """Return the branches of poses (N,); for a stage of their heights and normals."""
         return None
 
-    def inverse_jacobian(self, configuration: State) -> FloatArray | None:
+    def inverse_jacobian(self, configuration: Configuration) -> FloatArray | None:
         """Return J_f (N, 6, 6), for a stage (N, 3, 3), of states (N,) in SI; NaN where a state is singular."""
         return None
 
-    def leg_forces(self, configuration: State, wrench: FloatArray) -> FloatArray | None:
+    def leg_forces(self, configuration: Configuration, wrench: FloatArray) -> FloatArray | None:
         """Return the efforts (N, 6) or (N, 3) of states (N,) that balance wrenches (N, 6); NaN where singular."""
         return None
 
-    def assembled(self, configuration: State) -> State | None:
+    def assembled(self, configuration: Configuration) -> Configuration | None:
         """Return states (N,) as the method's own model assembles them from their joint values."""
         return None
 
-    def rounding(self, configuration: State) -> FloatArray:
+    def rounding(self, configuration: Configuration) -> FloatArray:
         """Return the closure residual [m] that its arithmetic may leave at states (N,)."""
         return ROUNDING * _magnitude(configuration)
 
 
-def _magnitude(configuration: State) -> FloatArray:
+def _magnitude(configuration: Configuration) -> FloatArray:
     """Return the size of the numbers in the loop equations [m], shape (...)."""
     distance = np.linalg.norm(configuration.translation, axis=-1)
     balls = np.abs(configuration.balls[..., :3, :]).max(axis=(-1, -2))
@@ -81,7 +79,7 @@ class ClosedForm(Method):
 
     name: str = "closed form"
 
-    def inverse(self, pose: RigidTransform) -> Branches:
+    def inverse(self, pose: RigidTransform) -> SolutionSet:
         """Solve poses (N,)."""
         if self.machine.is_stage:
             matrix = pose.as_matrix()
@@ -146,10 +144,10 @@ class _MultiStart(Method):
     def __post_init__(self) -> None:
         self._nlp = import_module("spm_pin.crosscheck.nlp")
 
-    def inverse(self, pose: RigidTransform) -> Branches:
+    def inverse(self, pose: RigidTransform) -> SolutionSet:
         """Solve poses (N,)."""
         search = self._nlp.search(self.machine, pose, starts=self.starts, solver=self.solver)
-        solutions: Branches = search.solutions
+        solutions: SolutionSet = search.solutions
         return solutions
 
 
@@ -175,15 +173,15 @@ class Nlp(_MultiStart):
         super().__post_init__()
         self._derivatives = self._nlp.leg_jacobian(self.machine)
 
-    def _derivatives_at(self, configuration: State) -> list[Any]:
+    def _derivatives_at(self, configuration: Configuration) -> list[Any]:
         points = configuration.balls[..., :3, :].reshape(-1, 9), configuration.rotation, configuration.translation
         return [self._derivatives(*point) for point in zip(*points, strict=True)]
 
-    def inverse_jacobian(self, configuration: State) -> FloatArray | None:
+    def inverse_jacobian(self, configuration: Configuration) -> FloatArray | None:
         """Return J_f (N, 6, 6), for a stage (N, 3, 3)."""
         return np.stack([self._nlp.inverse_jacobian(each) for each in self._derivatives_at(configuration)])
 
-    def leg_forces(self, configuration: State, wrench: FloatArray) -> FloatArray | None:
+    def leg_forces(self, configuration: Configuration, wrench: FloatArray) -> FloatArray | None:
         """Return efforts (N, 6), for a stage (N, 3), by virtual work; its parasitic motion is that of its balls."""
         derivatives = self._derivatives_at(configuration)
         transposed = np.stack([self._nlp.inverse_jacobian(each) for each in derivatives]).mT
@@ -207,17 +205,17 @@ class Pinocchio(Method):
     def __post_init__(self) -> None:
         self.chain = import_module("spm_pin.multibody.chain").ClosedChain.from_urdf(machine=self.machine)
 
-    def inverse_jacobian(self, configuration: State) -> FloatArray:
+    def inverse_jacobian(self, configuration: Configuration) -> FloatArray:
         """Return J_f (N, 6, 6), for a stage (N, 3, 3)."""
         return np.asarray(self.chain.state(self.chain.joint_values(configuration)).inverse_jacobian())
 
-    def leg_forces(self, configuration: State, wrench: FloatArray) -> FloatArray:
+    def leg_forces(self, configuration: Configuration, wrench: FloatArray) -> FloatArray:
         """Return efforts (N, 6), for a stage (N, 3)."""
         return np.asarray(self.chain.state(self.chain.joint_values(configuration)).leg_forces(wrench))
 
-    def assembled(self, configuration: State) -> State:
+    def assembled(self, configuration: Configuration) -> Configuration:
         """Return the configurations that the tree's frames give at the joint values of states (N,)."""
-        states: State = self.chain.state(self.chain.joint_values(configuration)).configuration()
+        states: Configuration = self.chain.state(self.chain.joint_values(configuration)).configuration()
         return states
 
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from spm_pin.description.source_files import check_prefix, machine_or_paper, read_closures
 from spm_pin.errors import DescriptionError
-from spm_pin.machine import Configuration, StageConfiguration, joint_angles
-from spm_pin.machine.configuration import check_state
+from spm_pin.machine import Configuration, joint_angles
+from spm_pin.machine.configuration import check_configuration
 from spm_pin.machine.joint_angles import actuated_joints, joint_names, value_names
 from spm_pin.machine.machine import Machine
 
@@ -30,24 +30,24 @@ def extended_urdf_text(machine: Machine | None = None, *, prefix: str = "") -> s
     return f"closed_loop: [\n  {pairs}\n]\ntype: {types}\nname_mot: {motors}\njoint_name: []\njoint_type: []\n"
 
 
-def joint_values(configuration: Configuration | StageConfiguration) -> dict[str, float]:
+def joint_values(configuration: Configuration) -> dict[str, float]:
     """Return the values of the tree's joints, eighteen or nine, for a single configuration that exists.
 
     They are by name, without prefix, in the order of `joint_names`: for passive joints angles in [-π, π] [rad], for
     actuated joints the reading without offset minus that in the home [m, rad]. If the configuration violates the
     closure equations, so does the tree.
     """
-    check_state(configuration, single=True, existing=True)
+    check_configuration(configuration, single=True, existing=True)
     machine, angles = configuration.machine, joint_angles(configuration, corners=(0,)).values
     values = dict(zip(value_names(machine), angles.tolist(), strict=True))
     return {name: values[name] for name in joint_names(machine)}
 
 
-def machine_of(states: Mapping[str, Configuration | StageConfiguration], machine: Machine | None) -> Machine:
+def machine_of(states: Mapping[str, Configuration], machine: Machine | None) -> Machine:
     """Return the common machine of named states and of a URDF; raise an error if they differ."""
     if not isinstance(states, Mapping):
         raise DescriptionError("states", "a mapping of names to configurations", type(states).__name__)
-    machines = [check_state(state, "states").machine for state in states.values()]
+    machines = [check_configuration(state, "states").machine for state in states.values()]
     machine = machine_or_paper(next(iter(machines), None) if machine is None else machine)
     for name, other in zip(states, machines, strict=True):
         if other != machine:
@@ -57,9 +57,7 @@ def machine_of(states: Mapping[str, Configuration | StageConfiguration], machine
     return machine
 
 
-def state_values(
-    states: Mapping[str, Configuration | StageConfiguration], machine: Machine, prefix: str
-) -> dict[str, dict[str, float]]:
+def state_values(states: Mapping[str, Configuration], machine: Machine, prefix: str) -> dict[str, dict[str, float]]:
     """Return the values of the joints, named with the prefix, in `home` and in named states of a machine."""
     values = {HOME: dict.fromkeys((prefix + joint for joint in joint_names(machine)), 0.0)}
     for name, configuration in states.items():
@@ -70,7 +68,7 @@ def state_values(
 
 
 def srdf_text(
-    states: Mapping[str, Configuration | StageConfiguration] | None = None,
+    states: Mapping[str, Configuration] | None = None,
     *,
     machine: Machine | None = None,
     prefix: str = "",
@@ -79,7 +77,7 @@ def srdf_text(
 
     Parameters
     ----------
-    states : mapping of str to Configuration or StageConfiguration, optional
+    states : mapping of str to Configuration, optional
         The states by name, all of the URDF's machine; `home` is added.
     machine : Manipulator or Stage, optional
         The machine of the URDF; by default that of the states, or else the paper's.

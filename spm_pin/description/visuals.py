@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from spm_pin.description.robot import read_robot
-from spm_pin.machine import Configuration, Machine, StageConfiguration
+from spm_pin.machine import Configuration, Machine
 from spm_pin.machine.joint_angles import home_readings
 from spm_pin.support.arguments import FloatArray
 from spm_pin.support.pose import homogeneous
@@ -102,7 +102,7 @@ def read_obj(path: Path) -> tuple[FloatArray, npt.NDArray[np.int32]]:
     return vertices, array
 
 
-def part_placements(configuration: Configuration | StageConfiguration) -> FloatArray:
+def part_placements(configuration: Configuration) -> FloatArray:
     """Return the poses of the solids of configurations (...), shape (..., n, 4, 4), in the order of `visual_parts`.
 
     The matrices map the vertices of a part to {B}. A state may violate the closure equations; missing ones are NaN.
@@ -130,7 +130,7 @@ def part_placements(configuration: Configuration | StageConfiguration) -> FloatA
     return placements
 
 
-def _body_poses(configuration: Configuration | StageConfiguration) -> dict[str, FloatArray]:
+def _body_poses(configuration: Configuration) -> dict[str, FloatArray]:
     """Return the pose (..., 4, 4) in {B} of each body: z along the link, the origin at pivot, knee or ball."""
     machine = configuration.machine
     base = np.broadcast_to(np.eye(4), (*configuration.shape, 4, 4))

@@ -17,7 +17,7 @@ from spm_pin.description.robot import Joint, Link, Robot, Shape, read_robot
 from spm_pin.description.source_files import Closure, check_prefix, machine_or_paper
 from spm_pin.description.tree import HOME, machine_of, state_values
 from spm_pin.errors import DescriptionError
-from spm_pin.machine import Configuration, Stage, StageConfiguration
+from spm_pin.machine import Configuration, Stage
 from spm_pin.machine.joint_angles import home_readings
 from spm_pin.machine.machine import Machine
 from spm_pin.support.arguments import FloatArray, check_instance, choice, real_number
@@ -73,7 +73,7 @@ def mjcf_text(
     machine: Machine | None = None,
     *,
     prefix: str = "",
-    states: Mapping[str, Configuration | StageConfiguration] | None = None,
+    states: Mapping[str, Configuration] | None = None,
     actuators: str | None = None,
     ball: Ball | None = None,
     collisions: str | None = None,
@@ -86,7 +86,7 @@ def mjcf_text(
     ----------
     machine, prefix, meshes, masses
         As for `urdf_text`.
-    states : mapping of str to Configuration or StageConfiguration, optional
+    states : mapping of str to Configuration, optional
         Named states of this machine, which become keyframes after `home`: all joints at zero, or, if the loops of a
         calibrated machine are open there, the actuated joints, and the others where the loops close.
     actuators : str, optional

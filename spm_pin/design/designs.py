@@ -18,7 +18,7 @@ import numpy as np
 from spm_pin.design.task import Task
 from spm_pin.errors import ArgumentError, GeometryError, require_extra
 from spm_pin.kinematics.stage_rates import tilt_densities
-from spm_pin.machine import Manipulator, Stage, StageConfiguration
+from spm_pin.machine import Manipulator, Stage
 from spm_pin.machine.leg_kinds import KINDS
 from spm_pin.machine.machine import Machine, check_machine, likely_unit
 from spm_pin.proofs.certificate import free_of_singularities
@@ -241,7 +241,7 @@ def _evaluate(shares: FloatArray, metrics: tuple[Metric, ...], machine: Manipula
 def _densities(points: Points) -> FloatArray:
     """Return the volume of poses (of heights and normals for a stage [m sr]) per volume of readings, (M,)."""
     machine, reached = points.machine, points.reached
-    if isinstance(reached, StageConfiguration):
+    if reached.machine.is_stage:
         return tilt_densities(reached, np.nan_to_num(points.platform_jacobians))
     # The determinant of G from the singular values that the conditioning needs as well: of the twist (v, L ω) by rates
     # of knees.

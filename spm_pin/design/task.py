@@ -12,7 +12,7 @@ import numpy.typing as npt
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics import inverse_displacement, leg_forces
 from spm_pin.kinematics.stage_displacement import normals_of_request
-from spm_pin.machine import Configuration, Manipulator, Stage, StageConfiguration, as_rigid_transform
+from spm_pin.machine import Configuration, Manipulator, Stage, as_rigid_transform
 from spm_pin.machine.machine import check_machine
 from spm_pin.support.arguments import FloatArray, broadcastable, real_array, whole_number
 from spm_pin.sweeps.points import Poses, Tilts
@@ -109,7 +109,7 @@ class Task:
         states = self._along(machine)[1]
         return float("nan") if states is None else float(np.abs(leg_forces(states, self._load)).max())
 
-    def _along(self, machine: Manipulator | Stage) -> tuple[float, Configuration | StageConfiguration | None]:
+    def _along(self, machine: Manipulator | Stage) -> tuple[float, Configuration | None]:
         """Return the margin, and the states (n,) in the branch that has it."""
         limits = check_machine(machine).limits
         if isinstance(self._requests, Tilts) is not machine.is_stage:

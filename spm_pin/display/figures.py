@@ -81,7 +81,7 @@ def calibration_figure(calibration: Calibration[Any]) -> Figure:
     return figure
 
 
-def path_figure(path: FollowedPath[Any]) -> Figure:
+def path_figure(path: FollowedPath) -> Figure:
     """Draw the legs along a followed path, its distances to singularities, and its events as vertical lines."""
     from spm_pin.kinematics import EventKind, FollowedPath, singularities
 

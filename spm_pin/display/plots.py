@@ -34,8 +34,7 @@ from spm_pin.display.writing import (
     write_name,
 )
 from spm_pin.errors import ArgumentError
-from spm_pin.machine import LEGS, StageConfiguration
-from spm_pin.machine.configuration import Configuration
+from spm_pin.machine import LEGS, Configuration
 from spm_pin.support.arguments import FloatArray, check_instance, real_number
 from spm_pin.support.files import file_path
 
@@ -84,7 +83,7 @@ def draw_solids(
 
 
 def draw(
-    configuration: Configuration | StageConfiguration,
+    configuration: Configuration,
     *,
     ax: Axes | None = None,
     view: tuple[float, float] = VIEW,
@@ -97,7 +96,7 @@ def draw(
 
     Parameters
     ----------
-    configuration : Configuration or StageConfiguration
+    configuration : Configuration
         A single state that exists.
     ax : matplotlib.axes.Axes, optional
         Axes to draw into; by default those of a new figure, ``ax.figure``.
@@ -118,7 +117,7 @@ def draw(
     margins = _MARGINS if labels else (0.014, 0.01)
     ax, inch, (image, extent, _) = draw_solids(solids, camera, margins, ax=ax, dpi=dpi, edge=_EDGE)
     ax.axis("off")
-    if isinstance(configuration, StageConfiguration):
+    if configuration.machine.is_stage:
         if labels:
             _label_stage(configuration, ax, camera, float(np.ptp(ax.get_xlim())) / inch)
     elif labels:
@@ -130,7 +129,7 @@ def draw(
 
 
 def draw_capability(
-    configuration: Configuration | StageConfiguration,
+    configuration: Configuration,
     section: Section,
     *,
     scale: float | None = None,
@@ -168,7 +167,7 @@ def draw_capability(
 
 
 def save_picture(
-    configuration: Configuration | StageConfiguration,
+    configuration: Configuration,
     path: str | Path,
     *,
     view: tuple[float, float] = VIEW,
@@ -200,7 +199,7 @@ def _check_width(width: int, narrowest: int) -> None:
 
 
 def save_gallery(
-    configurations: Mapping[str, Configuration | StageConfiguration],
+    configurations: Mapping[str, Configuration],
     path: str | Path,
     *,
     view: tuple[float, float] = VIEW,
@@ -211,7 +210,7 @@ def save_gallery(
 
     Parameters
     ----------
-    configurations : mapping of str to Configuration or StageConfiguration
+    configurations : mapping of str to Configuration
         Single states that exist, by their titles.
     path, view, labels, width
         As for `save_picture`; the width is that of the whole picture.
@@ -269,10 +268,10 @@ class _LabelPlacer:
         return 2.0 * mean + 10.0 * math.sqrt(max(square - mean**2, 0.0)) + clash
 
 
-def _label_stage(state: StageConfiguration, ax: Axes, camera: FloatArray, width: float) -> None:
+def _label_stage(state: Configuration, ax: Axes, camera: FloatArray, width: float) -> None:
     """Name the legs, and write the tilt and the height above them; `width` of the picture in inches."""
-    legs = state.stage.legs
-    beside = 0.5 * (state.circle_centres + state.balls) + 0.4 * section_size(state.stage) * legs.planes[0]
+    legs = state.machine.legs
+    beside = 0.5 * (state.circle_centres + state.balls) + 0.4 * section_size(state.machine) * legs.planes[0]
     for name, place in zip(legs.names, beside @ camera[:2].T, strict=True):
         write_name(ax, place, f"${name}$", 2.75 * width, "black", 0.3)
     tilt, azimuth = np.degrees([state.tilt, state.azimuth])

@@ -16,8 +16,8 @@ import numpy.typing as npt
 
 from spm_pin.description.visuals import part_placements, section_size, visual_parts
 from spm_pin.errors import ArgumentError, require_extra
-from spm_pin.machine import StageConfiguration
-from spm_pin.machine.configuration import Configuration, check_state
+from spm_pin.machine import Configuration
+from spm_pin.machine.configuration import check_configuration
 from spm_pin.support.arguments import BoolArray, FloatArray, IntArray
 
 Colour = tuple[float, float, float]
@@ -53,9 +53,9 @@ class Solid:
     nearer: float = 0.0  # distance towards the viewer by which it is drawn in front of its position [m]
 
 
-def robot_solids(configuration: Configuration | StageConfiguration, *, frames: bool = True) -> list[Solid]:
+def robot_solids(configuration: Configuration, *, frames: bool = True) -> list[Solid]:
     """Return the solids of a state in the URDF, and with `frames` arrows for the {B} and {m} of a manipulator."""
-    machine = check_state(configuration, single=True, existing=True).machine
+    machine = check_configuration(configuration, single=True, existing=True).machine
     lengths = np.linalg.norm(configuration.leg_vectors, axis=-1)
     if not (lengths > 0.0).all():
         raise ArgumentError("configuration", "legs of positive length that reach their balls", lengths)

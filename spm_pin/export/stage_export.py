@@ -14,7 +14,7 @@ from spm_pin.export.c_texts import checked_prefix, common_values, machine_text, 
 from spm_pin.formulas.leg_constants import LIMIT_ROUNDING
 from spm_pin.formulas.planar_legs import MOST_TURNED
 from spm_pin.kinematics import inverse_physical
-from spm_pin.machine import Stage, StageConfiguration
+from spm_pin.machine import Configuration, Stage
 from spm_pin.support.arguments import FloatArray, check_instance
 from spm_pin.workspace import home_height
 
@@ -127,7 +127,7 @@ def _known_answers(stage: Stage, home: float) -> dict[str, Any]:
     }
 
 
-def _held_states(stage: Stage, home: float, count: int) -> StageConfiguration:
+def _held_states(stage: Stage, home: float, count: int) -> Configuration:
     """Return up to `_CASES` states within the limits and far from singularities, of `count` drawn about home."""
     rng, share = np.random.default_rng(17), np.linspace(1.0, 0.0, count)
     tilt, azimuth = _TILT * share * rng.random(count), rng.uniform(-np.pi, np.pi, count)

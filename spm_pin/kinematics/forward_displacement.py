@@ -8,7 +8,7 @@ Newton's method provably does not leave it. See `docs/theory/forward_displacemen
 
 from __future__ import annotations
 
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,13 +17,12 @@ from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.batches import flat_batch, run_kernel, with_batch_shape
 from spm_pin.kinematics.readings import read_readings
 from spm_pin.kinematics.stage_balls import STAGE_MODES, Modes, NominalStage, all_modes, followed_balls, physical_balls
-from spm_pin.machine.configuration import Configuration, check_state
+from spm_pin.machine.configuration import Configuration, check_configuration
 from spm_pin.machine.joint_angles import homes
 from spm_pin.machine.machine import Machine, unit_hint
 from spm_pin.machine.manipulator import Manipulator, check_same_machine
 from spm_pin.machine.solutions import Degeneracy, SolutionSet, Status
 from spm_pin.machine.stage import Stage
-from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.support.arguments import FloatArray, IntArray, broadcastable
 
 ASSEMBLY_MODES = tuple(f"{lower}/{upper}" for lower in STAGE_MODES for upper in STAGE_MODES)
@@ -36,11 +35,7 @@ _START = np.array([1.20, 1.20, 1.40, 1.25, 1.20, 1.50]) / 1.30
 _MIN_BATCH_PER_THREAD, _MIN_BATCH_PER_THREAD_PHYSICAL = 1 << 8, 1 << 12
 
 
-@overload
-def forward_displacement(machine: Manipulator, readings: npt.ArrayLike) -> SolutionSet: ...
-@overload
-def forward_displacement(machine: Stage, readings: npt.ArrayLike) -> SolutionSet[StageConfiguration]: ...
-def forward_displacement(machine: Any, readings: npt.ArrayLike) -> Any:
+def forward_displacement(machine: Manipulator | Stage, readings: npt.ArrayLike) -> SolutionSet:
     """Find all configurations with given readings: the assembly modes.
 
     Parameters
@@ -86,10 +81,12 @@ def forward_displacement(machine: Any, readings: npt.ArrayLike) -> Any:
     legs = machine.legs.stages
     columns = np.moveaxis(read.reshape(-1, len(legs), 3), 1, 0)
     solved = [all_modes(*stage) for stage in zip(legs, columns, _nominal_stages(machine), strict=True)]
-    return (_modes_of_stage if len(solved) == 1 else _modes_of_manipulator)(machine, read, *solved)
+    modes_of: Any = _modes_of_stage if machine.is_stage else _modes_of_manipulator
+    modes: SolutionSet = modes_of(machine, read, *solved)
+    return modes
 
 
-def _modes_of_stage(stage: Stage, readings: FloatArray, modes: Modes) -> SolutionSet[StageConfiguration]:
+def _modes_of_stage(stage: Stage, readings: FloatArray, modes: Modes) -> SolutionSet:
     shape = readings.shape[:-1]
     states = _joined(stage, (*shape, len(STAGE_MODES)), modes.balls, readings[..., None, :])
     status, continuous = modes.status.reshape(shape), modes.continuous.any(axis=-1).reshape(shape)
@@ -127,15 +124,9 @@ def _modes_of_manipulator(machine: Manipulator, readings: FloatArray, below: Mod
     )
 
 
-@overload
 def forward_physical(
-    machine: Manipulator, readings: npt.ArrayLike, near: Configuration | None = ...
-) -> Configuration: ...
-@overload
-def forward_physical(
-    machine: Stage, readings: npt.ArrayLike, near: StageConfiguration | None = ...
-) -> StageConfiguration: ...
-def forward_physical(machine: Any, readings: npt.ArrayLike, near: Any = None) -> Any:
+    machine: Manipulator | Stage, readings: npt.ArrayLike, near: Configuration | None = None
+) -> Configuration:
     """Find the physical configuration with these readings, in which an assembled machine is.
 
     Parameters
@@ -145,12 +136,12 @@ def forward_physical(machine: Any, readings: npt.ArrayLike, near: Any = None) ->
     readings : array_like, shape (..., 6); for a stage (..., 3)
         Readings of the encoders of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m] ([rad] for RRS legs): in a nominal machine
         with RPS legs the leg lengths.
-    near : Configuration, for a stage StageConfiguration, optional
+    near : Configuration, optional
         A state of the machine before. Its leading axes broadcast with those of `readings`.
 
     Returns
     -------
-    Configuration, or StageConfiguration for a stage
+    Configuration
         Of shape (...). Without `near` the configuration in the home assembly region: all stages without
         torsion, on the sheet +, and reached from equal legs without a forward singularity. With `near` the end of the
         path on which its readings change to the given ones in a straight line, whatever its mode. `.exists` is
@@ -215,7 +206,7 @@ def states_of_stages(machine: Manipulator, readings: FloatArray) -> tuple[Config
     first, second = map(len, halves)
     pairs = np.arange(max(first, second) if first and second else 0)
     joined = np.stack([half[pairs % max(len(half), 1)] for half in halves], axis=1)
-    state: Configuration = _joined(machine, pairs.shape, joined)
+    state = _joined(machine, pairs.shape, joined)
     return state, (first, second)
 
 
@@ -233,7 +224,7 @@ def starting_configuration(machine: Manipulator) -> Configuration:
 
 def _check_near(machine: Machine, near: Any) -> None:
     """Raise an ArgumentError if `near` is not a closed state of this machine."""
-    check_state(near, "near", existing=True)
+    check_configuration(near, "near", existing=True)
     check_same_machine(near.machine, machine, "near", "`machine`")
     residual = float(near.closure_residual.max(initial=0.0))
     if not residual <= _OPEN * machine.ball_side:
@@ -258,7 +249,9 @@ def _continuous_families(below: Modes, above: Modes) -> IntArray:
     return np.asarray((free * (exists[0][:, :, None] & exists[1][:, None])).reshape(-1, 4))
 
 
-def _joined(machine: Machine, shape: tuple[int, ...], balls: FloatArray, readings: npt.ArrayLike = np.nan) -> Any:
+def _joined(
+    machine: Machine, shape: tuple[int, ...], balls: FloatArray, readings: npt.ArrayLike = np.nan
+) -> Configuration:
     """Return the states (...) with the balls (N, m, 3, 3) of all stages, in the frames of their bases.
 
     The readings (..., legs) of a stage broadcast with them; those of a manipulator follow from the balls.
@@ -273,5 +266,5 @@ def _joined(machine: Machine, shape: tuple[int, ...], balls: FloatArray, reading
     arrays = with_batch_shape(solved, shape)
     if not machine.is_stage:
         return Configuration.from_arrays(machine, *arrays)
-    states = StageConfiguration.from_arrays(machine, *arrays, np.array(np.broadcast_to(readings, (*shape, 3))))
+    states = Configuration.from_arrays(machine, *arrays, np.array(np.broadcast_to(readings, (*shape, 3))))
     return states if states.exists.all() else states.where(states.exists)

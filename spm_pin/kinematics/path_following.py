@@ -18,7 +18,6 @@ from spm_pin.kinematics.forward_displacement import forward_displacement, forwar
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
 from spm_pin.kinematics.singularity_analysis import determinants
 from spm_pin.kinematics.tracking import CertifiedLimits, EventKind, FollowedPath, Solver, Watch, followed
-from spm_pin.machine.batched import Batched
 from spm_pin.machine.configuration import Configuration
 from spm_pin.machine.manipulator import Manipulator, check_manipulator
 from spm_pin.support.arguments import FloatArray, as_array, real_array, type_and_value
@@ -33,7 +32,7 @@ def follow(
     *,
     samples: int = 200,
     certificate: CertifiedLimits | None = None,
-) -> FollowedPath[Configuration]:
+) -> FollowedPath:
     """Follow one solution along a path of poses or of leg lengths.
 
     For a stage the path is one of readings, or of heights and tilts, with the arguments of
@@ -80,7 +79,12 @@ def watch_of(machine: Manipulator) -> Watch:
 
 
 def existing_share(
-    solve: Callable[[FloatArray], Batched], start: FloatArray, ends: FloatArray, *, parts: int = 16, rounds: int = 3
+    solve: Callable[[FloatArray], Configuration],
+    start: FloatArray,
+    ends: FloatArray,
+    *,
+    parts: int = 16,
+    rounds: int = 3,
 ) -> FloatArray:
     """Return up to which share of each line from readings (6,) to `ends` (n, 6) the states that `solve` finds exist.
 
@@ -106,7 +110,7 @@ def last_on_line(start: Configuration, readings: FloatArray) -> tuple[Configurat
     return forward_physical(machine, first + share * (readings - first)) if share else start, share
 
 
-def _solver(machine: Manipulator, path: Any) -> tuple[Solver[Configuration], FloatArray, bool]:
+def _solver(machine: Manipulator, path: Any) -> tuple[Solver, FloatArray, bool]:
     """Return all solutions as a function of the parameter, the parameters of given points, and if those are legs."""
     point: Callable[[Any], Any] = path
     knots = np.array([0.0, 1.0])

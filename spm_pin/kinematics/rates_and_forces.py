@@ -32,18 +32,15 @@ from spm_pin.errors import SingularConfigurationError
 from spm_pin.kinematics import stage_rates
 from spm_pin.kinematics.batches import run_on_states
 from spm_pin.kinematics.singularity_kinds import SINGULAR
-from spm_pin.machine.configuration import Configuration, check_configuration, check_state
+from spm_pin.machine.configuration import Configuration, check_configuration
 from spm_pin.machine.manipulator import Manipulator
-from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, broadcastable, leg_values, real_array
 
-State = Configuration | StageConfiguration
-"""States of a manipulator or of a stage."""
 _STIFFEST = 1e100
 """Largest stiffness [N/m], for which products of two are still finite."""
 
 
-def inverse_jacobian(configuration: State) -> FloatArray:
+def inverse_jacobian(configuration: Configuration) -> FloatArray:
     """Return J_f of states (...), which maps the platform's twist to the leg rates: the paper's Eq. (31).
 
     Returns
@@ -56,14 +53,14 @@ def inverse_jacobian(configuration: State) -> FloatArray:
         as "forward", where a leg has no length, hence no direction; and as "leg", where an actuator does not move its
         ball.
     """
-    if isinstance(configuration, StageConfiguration):
+    if check_configuration(configuration).machine.is_stage:
         return stage_rates.inverse_jacobian(configuration)
     from spm_pin.kinematics.kernels.jacobian_kernels import inverse_jacobians
 
     return _matrices(configuration, inverse_jacobians, "inverse")
 
 
-def platform_jacobian(configuration: State) -> FloatArray:
+def platform_jacobian(configuration: Configuration) -> FloatArray:
     """Return G = J_f⁻¹ of states (...), which maps the leg rates to the platform's twist, without inverting J_f.
 
     Returns
@@ -74,19 +71,19 @@ def platform_jacobian(configuration: State) -> FloatArray:
         NaN, at a forward or a constraint singularity, where the legs do not hold the platform. For a stage the
         parasitic motion is included; the rows `spm_pin.kinematics.MOTION` are the inverse of its `inverse_jacobian`.
     """
-    if isinstance(configuration, StageConfiguration):
+    if check_configuration(configuration).machine.is_stage:
         return stage_rates.platform_jacobian(configuration)
     from spm_pin.kinematics.kernels.jacobian_kernels import platform_jacobians
 
     return _matrices(configuration, platform_jacobians, "forward")
 
 
-def leg_rates(configuration: State, twist: npt.ArrayLike) -> FloatArray:
+def leg_rates(configuration: Configuration, twist: npt.ArrayLike) -> FloatArray:
     """Return the rates of the legs' readings for a twist of the platform.
 
     Parameters
     ----------
-    configuration : Configuration or StageConfiguration
+    configuration : Configuration
         States of shape (...).
     twist : array_like, shape (..., 6); for a stage (..., 3)
         (v, ω) of m at o in {B} [m/s, rad/s]; for a stage its motion (v_z, ω_x, ω_y). Leading axes broadcast with those
@@ -98,18 +95,18 @@ def leg_rates(configuration: State, twist: npt.ArrayLike) -> FloatArray:
         Rates of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [m/s] ([rad/s] for RRS legs); at singularities as
         `inverse_jacobian`.
     """
-    count = len(check_state(configuration).machine.legs.names)
+    count = len(check_configuration(configuration).machine.legs.names)
     meaning = f"{'(v, ω)' if count == 6 else '(v_z, ω_x, ω_y)'} at o in {{B}} in m/s and rad/s"
     value = _broadcast_argument(twist, "twist", meaning, configuration, count)
     return np.asarray((inverse_jacobian(configuration) @ value[..., None])[..., 0])
 
 
-def leg_forces(configuration: State, wrench: npt.ArrayLike) -> FloatArray:
+def leg_forces(configuration: Configuration, wrench: npt.ArrayLike) -> FloatArray:
     """Return the actuator forces that hold a wrench applied onto the terminal platform: the paper's Eq. (33).
 
     Parameters
     ----------
-    configuration : Configuration or StageConfiguration
+    configuration : Configuration
         States of shape (...).
     wrench : array_like, shape (..., 6)
         (f, m): force [N] and moment [N m] at o, in {B}, applied onto m from outside. Leading axes broadcast with
@@ -123,9 +120,9 @@ def leg_forces(configuration: State, wrench: npt.ArrayLike) -> FloatArray:
         `platform_jacobian`. Other loads of the joints: `spm_pin.capability.joint_reactions`, and for a stage
         `spm_pin.kinematics.joint_loads`.
     """
-    check_state(configuration)
+    check_configuration(configuration)
     load = _broadcast_argument(wrench, "wrench", "(f, m) at o in {B} in N and N m", configuration, 6)
-    if isinstance(configuration, StageConfiguration):
+    if configuration.machine.is_stage:
         return np.asarray(-(platform_jacobian(configuration).mT @ load[..., None])[..., 0])
     from spm_pin.kinematics.kernels.jacobian_kernels import stage_forces
 
@@ -138,7 +135,6 @@ def leg_forces(configuration: State, wrench: npt.ArrayLike) -> FloatArray:
 
 def _matrices(configuration: Configuration, kernel: Callable[..., object], kind: str) -> FloatArray:
     """Return the matrices of a kernel (..., 6, 6); NaN at a singularity of this kind, or an error for one state."""
-    check_configuration(configuration)
     matrices, suspect = _run(kernel, configuration, (6, 6))
     if np.count_nonzero(suspect):
         singular = suspect.astype(bool)
@@ -168,7 +164,7 @@ def _run(
 
 
 def _broadcast_argument(
-    value: npt.ArrayLike, argument: str, meaning: str, configuration: State, count: int
+    value: npt.ArrayLike, argument: str, meaning: str, configuration: Configuration, count: int
 ) -> FloatArray:
     """Read a twist or a wrench (..., count) whose leading axes broadcast with those of `configuration`."""
     array = real_array(value, argument, (count,), meaning)
@@ -198,12 +194,12 @@ def force_matrices(configuration: Configuration) -> FloatArray:
     return np.stack([*stages, structure], axis=-3)
 
 
-def stage_inverses(configuration: State) -> FloatArray:
+def stage_inverses(configuration: Configuration) -> FloatArray:
     """Return J_b⁻¹ and J_c⁻¹ (..., 2, 6, 6), J_b⁻¹ alone for a stage; rows are twists (v, ω) at o in {B} [m/s, rad/s].
 
     NaN where `platform_jacobian` is; a single singular state raises an error.
     """
-    if isinstance(configuration, StageConfiguration):
+    if check_configuration(configuration).machine.is_stage:
         return stage_rates.stage_inverses(configuration)
     inverses = _inverses(force_matrices(configuration)[..., :2, :, :], _without_hold(configuration)[..., None])
     lever = configuration.translation - configuration.middle_joints.mean(axis=-2)
@@ -247,12 +243,12 @@ class PrincipalStiffness(NamedTuple):
     """Their unit vectors in {B}, as rows, shape (..., 3, 3)."""
 
 
-def compliance(configuration: State, legs: npt.ArrayLike, structure: npt.ArrayLike | None = None) -> FloatArray:
+def compliance(configuration: Configuration, legs: npt.ArrayLike, structure: npt.ArrayLike | None = None) -> FloatArray:
     """Return the displacement of the platform per unit wrench.
 
     Parameters
     ----------
-    configuration : Configuration or StageConfiguration
+    configuration : Configuration
         States of shape (...).
     legs : array_like, shape (..., 6); for a stage (..., 3), or ()
         Stiffness of each actuator with its leg, by the reading: [N/m] ([N m/rad] for RRS legs); one number for all.
@@ -267,7 +263,7 @@ def compliance(configuration: State, legs: npt.ArrayLike, structure: npt.ArrayLi
         With rigid structures its rank is 3 for a stage, and less than 6 at an inverse singularity; at other
         singularities as `platform_jacobian`.
     """
-    check_state(configuration)
+    check_configuration(configuration)
     along = _compliances(legs, "legs", configuration)
     across = np.zeros(along.shape[-1]) if structure is None else _compliances(structure, "structure", configuration)
     inverses = stage_inverses(configuration)
@@ -279,7 +275,7 @@ def compliance(configuration: State, legs: npt.ArrayLike, structure: npt.ArrayLi
     return np.asarray(0.5 * (total + total.swapaxes(-1, -2)))
 
 
-def stiffness(configuration: State, legs: npt.ArrayLike, structure: npt.ArrayLike | None = None) -> FloatArray:
+def stiffness(configuration: Configuration, legs: npt.ArrayLike, structure: npt.ArrayLike | None = None) -> FloatArray:
     """Return the wrench per unit displacement of the platform: the inverse of `compliance`.
 
     Parameters
@@ -307,14 +303,14 @@ def stiffness(configuration: State, legs: npt.ArrayLike, structure: npt.ArrayLik
         flexible = compliance(configuration, legs, structure)
         inverses = _inverses(flexible, np.asarray(np.isnan(flexible).any(axis=(-1, -2))))
         return 0.5 * (inverses + inverses.swapaxes(-1, -2))
-    check_state(configuration)
+    check_configuration(configuration)
     along = 1.0 / _compliances(legs, "legs", configuration)
     jacobian = inverse_jacobian(configuration)
     return np.asarray(jacobian.swapaxes(-1, -2) @ (along[..., None] * jacobian))
 
 
 def principal_stiffness(
-    configuration: State, legs: npt.ArrayLike, structure: npt.ArrayLike | None = None
+    configuration: Configuration, legs: npt.ArrayLike, structure: npt.ArrayLike | None = None
 ) -> PrincipalStiffness:
     """Return the stiffness against pure forces at o and against pure moments, in their principal directions.
 
@@ -342,7 +338,7 @@ def principal_stiffness(
     return PrincipalStiffness(*principal)
 
 
-def _compliances(value: npt.ArrayLike, argument: str, configuration: State) -> FloatArray:
+def _compliances(value: npt.ArrayLike, argument: str, configuration: Configuration) -> FloatArray:
     """Return 1 / stiffness of a force of each leg, shape (..., legs)."""
     names = configuration.machine.legs.names
     meaning = f"the stiffness of {names[0]} to {names[-1]} in N/m, for RRS legs in N m/rad, or one for all"

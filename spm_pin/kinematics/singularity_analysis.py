@@ -15,7 +15,7 @@ with lengths in units of d, so that they are dimensionless and of order one:
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -28,8 +28,7 @@ from spm_pin.kinematics import stage_rates
 from spm_pin.kinematics.batches import run_kernel, run_on_states
 from spm_pin.kinematics.rates_and_forces import force_matrices, leg_constants, platform_jacobian
 from spm_pin.kinematics.singularity_kinds import SINGULAR, SingularityKind, kinds_text
-from spm_pin.machine.configuration import Configuration, check_state
-from spm_pin.machine.stage_configuration import StageConfiguration
+from spm_pin.machine.configuration import Configuration, check_configuration
 from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, real_number, shaped_array
 
 _MIN_BATCH_PER_THREAD = 1 << 11
@@ -91,22 +90,12 @@ class Singularities:
         return f"<Singularities: {kinds_text(self.kind, exists)}; smallest singular values of J_b, J_c, K: {sigmas}>"
 
 
-@overload
-def singularities(configuration: Configuration, *, tolerance: float = ...) -> Singularities: ...
-
-
-@overload
-def singularities(configuration: StageConfiguration, *, tolerance: float = ...) -> stage_rates.StageSingularities: ...
-
-
-def singularities(
-    configuration: Configuration | StageConfiguration, *, tolerance: float = SINGULAR
-) -> Singularities | stage_rates.StageSingularities:
+def singularities(configuration: Configuration, *, tolerance: float = SINGULAR) -> Any:
     """Describe the singularities of a configuration, or how near they are.
 
     Parameters
     ----------
-    configuration : Configuration or StageConfiguration
+    configuration : Configuration
         States of shape (...).
     tolerance : float
         A matrix is singular if its smallest singular value is at most this times its largest; the default is the
@@ -127,8 +116,7 @@ def singularities(
     from spm_pin.kinematics.kernels.singularity_kernels import describe_singularities
 
     tolerance = real_number(tolerance, "tolerance", "a number from 0 to below 1", least=0.0, below=1.0)
-    check_state(configuration)
-    if isinstance(configuration, StageConfiguration):
+    if check_configuration(configuration).machine.is_stage:
         return stage_rates.singularities(configuration, tolerance)
     machine = configuration.machine
     exists, side = configuration.exists, machine.middle_side
@@ -208,16 +196,16 @@ def singular_values(matrices: npt.ArrayLike) -> FloatArray:
     return np.asarray(values.reshape(*shape, m))
 
 
-def determinants(configuration: Configuration | StageConfiguration) -> FloatArray:
+def determinants(configuration: Configuration) -> FloatArray:
     """Return det J_b, det J_c and det K of states (...) alone [m³], (..., 3), as `Singularities.determinants`.
 
     For a stage the shape is (..., 2): det J of its six forces [m³], which is zero at forward singularities, and the
     determinant of v_x, v_y and ω_z in the equations of the legs' planes [m], which is zero at inverse ones. NaN for a
     member that does not exist, or for a leg without length.
     """
-    check_state(configuration)
-    if isinstance(configuration, StageConfiguration):
-        return stage_rates.determinants(configuration) * configuration.stage.platform_radius ** np.array([3, 1])
+    if check_configuration(configuration).machine.is_stage:
+        scales = configuration.machine.platform_radius ** np.array([3, 1])
+        return np.asarray(stage_rates.determinants(configuration) * scales)
     from spm_pin.kinematics.kernels.jacobian_kernels import all_determinants
 
     machine = configuration.machine

@@ -13,9 +13,9 @@ from spm_pin.formulas.planar_legs import MOST_TURNED, RRS_LEGS
 from spm_pin.formulas.stage_poses import LEAST_RISE
 from spm_pin.kinematics.batches import run_kernel, with_batch_shape
 from spm_pin.kinematics.readings import check_unit
-from spm_pin.machine.solutions import SolutionSet, Status
+from spm_pin.machine.configuration import Configuration
+from spm_pin.machine.solutions import BELOW, OPERATION_MODES, SolutionSet, Status
 from spm_pin.machine.stage import Stage
-from spm_pin.machine.stage_configuration import BELOW, OPERATION_MODES, StageConfiguration
 from spm_pin.support.arguments import (
     FloatArray,
     broadcastable,
@@ -39,7 +39,7 @@ def inverse(
     roll: npt.ArrayLike | None = None,
     pitch: npt.ArrayLike | None = None,
     normal: npt.ArrayLike | None = None,
-) -> SolutionSet[StageConfiguration]:
+) -> SolutionSet:
     """Compute both states of a stage for a tilt and a height of its platform, in closed form.
 
     Parameters
@@ -83,7 +83,7 @@ def inverse(
     rotation, translation, readings, _ = poses(stage, normals, heights, 2)
     reached = np.isfinite(readings).all(axis=-1)
     arrays = with_batch_shape((rotation, translation, readings), shape)
-    solutions = StageConfiguration.from_arrays(stage, *arrays).where(reached.reshape(*shape, 2))
+    solutions = Configuration.from_arrays(stage, *arrays).where(reached.reshape(*shape, 2))
     if not shape and not reached.any():
         solutions.missing_reason = _why_unreachable(stage, heights, normals, readings, translation)
     status = np.where(reached.any(axis=-1), Status.OK, Status.UNREACHABLE)
@@ -99,7 +99,7 @@ def inverse_physical(
     roll: npt.ArrayLike | None = None,
     pitch: npt.ArrayLike | None = None,
     normal: npt.ArrayLike | None = None,
-) -> StageConfiguration:
+) -> Configuration:
     """Compute the physical state for a tilt and a height: the same as ``inverse(…).physical()``, in half the time.
 
     Parameters
@@ -109,7 +109,7 @@ def inverse_physical(
 
     Returns
     -------
-    StageConfiguration
+    Configuration
         Of shape (...): in mode T, and reached from the level platform without a forward singularity. `.exists` is
         False, and everything NaN, if there is no such state. `.limit_excess` is the excess of readings beyond the
         limits.
@@ -119,11 +119,11 @@ def inverse_physical(
     >>> import numpy as np, spm_pin as spm
     >>> head = spm.Stage(base_radius=0.35, platform_radius=0.20, legs=spm.PRS(rod=0.40))
     >>> spm.inverse_physical(head, height=0.5, tilt=np.deg2rad(20), azimuth=np.pi / 2)
-    <StageConfiguration: tilt 20.00° towards 90.0°, height 0.5000 m, readings 0.1634, 0.0686, 0.1634 m>
+    <Configuration: tilt 20.00° towards 90.0°, height 0.5000 m, readings 0.1634, 0.0686, 0.1634 m>
     """
     shape, normals, heights = _read_request(stage, height, normals_of_request(tilt, azimuth, roll, pitch, normal))
     rotation, translation, readings, physical = (x[:, 0] for x in poses(stage, normals, heights, 1))
-    state = StageConfiguration.from_arrays(stage, *with_batch_shape((rotation, translation, readings), shape))
+    state = Configuration.from_arrays(stage, *with_batch_shape((rotation, translation, readings), shape))
     kept = physical > 0
     if kept.all():
         return state
@@ -133,7 +133,7 @@ def inverse_physical(
     return state
 
 
-def physical_at_poses(stage: Stage, pose: PoseLike) -> StageConfiguration:
+def physical_at_poses(stage: Stage, pose: PoseLike) -> Configuration:
     """Return the physical states with the heights and normals of poses (...); shift and torsion follow."""
     matrices = as_rigid_transform(pose).as_matrix()
     return inverse_physical(stage, matrices[..., 2, 3], normal=matrices[..., :3, 2])

@@ -12,9 +12,9 @@ from spm_pin.kinematics.readings import read_readings
 from spm_pin.kinematics.stage_displacement import inverse, normals_of_request, read_heights
 from spm_pin.kinematics.stage_rates import determinants
 from spm_pin.kinematics.tracking import EventKind, FollowedPath, Watch, followed
+from spm_pin.machine.configuration import Configuration
 from spm_pin.machine.solutions import SolutionSet
 from spm_pin.machine.stage import Stage
-from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.support.arguments import broadcastable, check_instance
 
 _KINDS = (
@@ -26,7 +26,7 @@ _KINDS = (
 def follow(
     stage: Stage,
     readings: npt.ArrayLike | None = None,
-    start: StageConfiguration | str | None = None,
+    start: Configuration | str | None = None,
     *,
     height: npt.ArrayLike | None = None,
     tilt: npt.ArrayLike | None = None,
@@ -35,7 +35,7 @@ def follow(
     pitch: npt.ArrayLike | None = None,
     normal: npt.ArrayLike | None = None,
     samples: int = 200,
-) -> FollowedPath[StageConfiguration]:
+) -> FollowedPath:
     """Follow one state of a stage along a path of readings, or of heights and tilts.
 
     Parameters
@@ -44,7 +44,7 @@ def follow(
         The stage. If it has limits, crossing one is an event.
     readings : array_like, shape (n, 3), optional
         Readings of the encoders at points of the path [m], for RRS legs [rad], on a line in between.
-    start : StageConfiguration or str, optional
+    start : Configuration or str, optional
         The state at the first point: the one nearest to it, or a label. By default the physical one.
     height, tilt, azimuth, roll, pitch, normal
         As for `inverse`, of shape (n,) together, instead of readings. Between two points the height and the components
@@ -81,7 +81,7 @@ def follow(
     knots = np.linspace(0.0, 1.0, len(points))
     point = scipy.interpolate.make_interp_spline(knots, points, k=1)
 
-    def solve(parameter: float) -> SolutionSet[StageConfiguration]:
+    def solve(parameter: float) -> SolutionSet:
         here = point(parameter)
         if height is None:
             return forward_displacement(stage, here)

@@ -17,10 +17,9 @@ from spm_pin.errors import SingularConfigurationError
 from spm_pin.formulas import stage_poses, wrenches
 from spm_pin.formulas.operations import on_arrays, rows_of, vector_of
 from spm_pin.kinematics.singularity_kinds import SINGULAR, SingularityKind, kinds_text
-from spm_pin.machine.batched import Batched, masked
-from spm_pin.machine.configuration import check_members
-from spm_pin.machine.stage_configuration import StageConfiguration
-from spm_pin.support.arguments import FloatArray, broadcastable, check_instance, real_array
+from spm_pin.machine.configuration import Configuration, check_configuration, masked
+from spm_pin.machine.stage import Stage
+from spm_pin.support.arguments import FloatArray, broadcastable, real_array
 
 MOTION = slice(2, 5)
 """Rows of a twist (v, ω) that are the motion (v_z, ω_x, ω_y)."""
@@ -78,7 +77,7 @@ class StageSingularities:
         return f"<StageSingularities: {kinds_text(self.kind, exists)}; least distances: {distances}>"
 
 
-def platform_jacobian(configuration: StageConfiguration) -> FloatArray:
+def platform_jacobian(configuration: Configuration) -> FloatArray:
     """Return the map (..., 6, 3) from rates of readings to the twist; see `rates_and_forces.platform_jacobian`."""
     return _columns(configuration, along_legs=True) * configuration.slopes[..., None, :]
 
@@ -88,7 +87,7 @@ def motion_rows(jacobian: FloatArray) -> FloatArray:
     return jacobian if jacobian.shape[-1] == 6 else jacobian[..., MOTION, :]
 
 
-def tilt_densities(state: StageConfiguration, jacobian: FloatArray) -> FloatArray:
+def tilt_densities(state: Configuration, jacobian: FloatArray) -> FloatArray:
     """Return |det ∂(height, normal)/∂readings| of states (...) from their `platform_jacobian`, [m sr] per readings."""
     # Turns about the platform's own x and y move its normal, and one about the normal does not.
     turns = state.rotation[..., :2].mT @ jacobian[..., 3:, :]
@@ -96,7 +95,7 @@ def tilt_densities(state: StageConfiguration, jacobian: FloatArray) -> FloatArra
     return np.asarray(np.abs(np.linalg.det(rates)))
 
 
-def parasitic_jacobian(configuration: StageConfiguration) -> FloatArray:
+def parasitic_jacobian(configuration: Configuration) -> FloatArray:
     """Return the twist of the platform for its motion (v_z, ω_x, ω_y), with the parasitic v_x, v_y and ω_z.
 
     Returns
@@ -107,21 +106,21 @@ def parasitic_jacobian(configuration: StageConfiguration) -> FloatArray:
         and a member of a batch is NaN.
     """
     state = _read(configuration)
-    axes, balls, origin = rows_of(state.stage.legs.axes), rows_of(state.balls), vector_of(state.translation)
+    axes, balls, origin = rows_of(state.machine.legs.axes), rows_of(state.balls), vector_of(state.translation)
     with np.errstate(invalid="ignore", divide="ignore"):
         columns = [_parasitic_rates(axes, balls, origin, tuple(unit)) for unit in np.eye(3).tolist()]
     twists = _stacked(state, columns)
     return _without_singular(state, twists, "inverse", _inverse_matrices(state))
 
 
-def inverse_jacobian(configuration: StageConfiguration) -> FloatArray:
+def inverse_jacobian(configuration: Configuration) -> FloatArray:
     """Return the map (..., 3, 3) from the motion to rates of readings; see `rates_and_forces.inverse_jacobian`."""
     twists = parasitic_jacobian(configuration)
     forces = _forces(configuration)[..., :3, :]
     return np.asarray(forces @ twists / regular_slopes(configuration)[..., None])
 
 
-def regular_slopes(state: Batched) -> FloatArray:
+def regular_slopes(state: Configuration) -> FloatArray:
     """Return κ of the legs (..., legs), NaN if a leg is singular; a single singular state raises an error."""
     slopes = state.slopes
     singular = np.abs(slopes) <= SINGULAR * state.machine.legs.largest_slopes
@@ -130,7 +129,7 @@ def regular_slopes(state: Batched) -> FloatArray:
     return np.where(singular, np.nan, slopes)
 
 
-def joint_loads(configuration: StageConfiguration, wrench: npt.ArrayLike) -> JointLoads:
+def joint_loads(configuration: Configuration, wrench: npt.ArrayLike) -> JointLoads:
     """Return what actuators, legs, balls and pivots carry under a wrench (..., 6), both as for `leg_forces`."""
     load = real_array(wrench, "wrench", (6,), "(f, m) at the platform's origin in {B} in N and N m")
     broadcastable("wrench", load.shape[:-1], "the configuration", _read(configuration).shape)
@@ -139,22 +138,22 @@ def joint_loads(configuration: StageConfiguration, wrench: npt.ArrayLike) -> Joi
     )
     vectors = _forces(configuration)[..., :3]
     balls = rods[..., None] * vectors[..., :3, :] + across[..., None] * vectors[..., 3:, :]
-    arms = configuration.balls - configuration.stage.legs.pivots
+    arms = configuration.balls - configuration.machine.legs.pivots
     return JointLoads(rods * configuration.slopes, rods, across, balls, np.cross(arms, balls))
 
 
-def singularities(state: StageConfiguration, least: float) -> StageSingularities:
+def singularities(state: Configuration, least: float) -> StageSingularities:
     """Find which states are singular, of which kind, and how far the others are from it.
 
     `least` is the ratio of the smallest singular value to the largest, and of κ to its largest, of a singular state.
     """
-    exists, scale = state.exists[..., None, None], state.stage.platform_radius
+    exists, scale = state.exists[..., None, None], state.machine.platform_radius
     # A leg whose length is zero has no direction and resists nothing: its row is zero, the state forward singular.
     six = np.nan_to_num(np.where(exists, _six_forces(state), np.eye(6)))
     three = np.where(exists, _inverse_matrices(state), np.eye(3))
     _, sizes, right = np.linalg.svd(six)
     own, structure = (np.linalg.svd(x, compute_uv=False) for x in (three, six[..., 3:, :]))
-    leg = state.slopes * state.stage.legs.slope_signs / state.stage.legs.largest_slopes
+    leg = state.slopes * state.machine.legs.slope_signs / state.machine.legs.largest_slopes
     kinds = {
         SingularityKind.FORWARD: sizes[..., -1] <= least * sizes[..., 0],
         SingularityKind.INVERSE: own[..., -1] <= least * own[..., 0],
@@ -169,45 +168,44 @@ def singularities(state: StageConfiguration, least: float) -> StageSingularities
     return StageSingularities(kind.astype(np.int8), forward, inverse, leg, gained)
 
 
-def determinants(state: StageConfiguration) -> FloatArray:
+def determinants(state: Configuration) -> FloatArray:
     """Return numbers that are zero at forward and at inverse singularities, dimensionless, (..., 2)."""
     with np.errstate(invalid="ignore"):  # missing states
         return np.stack([np.linalg.det(_six_forces(state)), np.linalg.det(_inverse_matrices(state))], axis=-1)
 
 
-def stage_inverses(configuration: StageConfiguration) -> FloatArray:
+def stage_inverses(configuration: Configuration) -> FloatArray:
     """Return the twists (..., 1, 6, 6) of unit rates of the balls along legs and along axes; NaN where singular."""
     parts = [_columns(configuration, along_legs=along) for along in (True, False)]
     return np.concatenate(parts, axis=-1)[..., None, :, :]
 
 
-def _read(configuration: Any) -> StageConfiguration:
-    state = check_instance(configuration, StageConfiguration, "configuration")
-    check_members(state, "configuration", single=False, existing=not state.shape)
-    return state
+def _read(configuration: Any) -> Configuration:
+    state = check_configuration(configuration, of=Stage)
+    return check_configuration(state, existing=not state.shape)
 
 
-def _directions(state: StageConfiguration) -> tuple[FloatArray, FloatArray]:
+def _directions(state: Configuration) -> tuple[FloatArray, FloatArray]:
     """Return the unit vectors along legs and along axes, as rows (..., 3, 3)."""
     vectors = state.leg_vectors
     with np.errstate(invalid="ignore", divide="ignore"):
         along = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return along, np.broadcast_to(state.stage.legs.axes, along.shape)
+    return along, np.broadcast_to(state.machine.legs.axes, along.shape)
 
 
-def _forces(state: StageConfiguration) -> FloatArray:
+def _forces(state: Configuration) -> FloatArray:
     """Return the six forces as rows (f, m) at the platform's origin, along the legs and along the axes, (..., 6, 6)."""
     arms = state.balls - state.translation[..., None, :]
     rows = [np.concatenate([f, np.cross(arms, f)], axis=-1) for f in _directions(state)]
     return np.concatenate(rows, axis=-2)
 
 
-def _six_forces(state: StageConfiguration) -> FloatArray:
+def _six_forces(state: Configuration) -> FloatArray:
     """Return `_forces` with lengths in units of the platform's radius."""
-    return np.asarray(_forces(state) / np.repeat([1.0, state.stage.platform_radius], 3))
+    return np.asarray(_forces(state) / np.repeat([1.0, state.machine.platform_radius], 3))
 
 
-def _inverse_matrices(state: StageConfiguration) -> FloatArray:
+def _inverse_matrices(state: Configuration) -> FloatArray:
     """Return the matrix of v_x, v_y and ω_z in the planes' equations, in the same units, (..., 3, 3)."""
     return np.asarray(_six_forces(state)[..., 3:, [0, 1, 5]])
 
@@ -222,13 +220,13 @@ def _columns(configuration: Any, *, along_legs: bool) -> FloatArray:
     return _without_singular(state, _stacked(state, columns), "forward", _six_forces(state))
 
 
-def _stacked(state: StageConfiguration, columns: Any) -> FloatArray:
+def _stacked(state: Configuration, columns: Any) -> FloatArray:
     """Return twists (v, ω) from formulas as the columns of matrices (..., 6, 3)."""
     rows = [np.stack(np.broadcast_arrays(*v, *w, np.zeros(state.shape))[:6], axis=-1) for v, w in columns]
     return np.stack(rows, axis=-1)
 
 
-def _without_singular(state: StageConfiguration, values: FloatArray, kind: str, matrices: FloatArray) -> FloatArray:
+def _without_singular(state: Configuration, values: FloatArray, kind: str, matrices: FloatArray) -> FloatArray:
     """Return values (..., m, n), NaN if a matrix is singular to rounding; a single singular state raises an error."""
     sizes = np.linalg.svd(np.nan_to_num(matrices), compute_uv=False)
     singular = state.exists & (sizes[..., -1] <= SINGULAR * sizes[..., 0])

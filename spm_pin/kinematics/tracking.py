@@ -10,20 +10,18 @@ from __future__ import annotations
 import enum
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import scipy
 
 from spm_pin.errors import ArgumentError
-from spm_pin.machine.batched import Batched, stacked
-from spm_pin.machine.configuration import check_members
+from spm_pin.machine.configuration import Configuration, check_configuration, stacked
 from spm_pin.machine.machine import Machine
 from spm_pin.machine.solutions import SolutionSet
-from spm_pin.support.arguments import BoolArray, FloatArray, check_instance, whole_number
+from spm_pin.support.arguments import BoolArray, FloatArray, whole_number
 
-S = TypeVar("S", bound=Batched)
-Solver = Callable[[float], SolutionSet[S]]
+Solver = Callable[[float], SolutionSet]
 """The solutions at a parameter of the path."""
 
 _LONGEST_MOVE = 0.1
@@ -81,12 +79,12 @@ class Watch(NamedTuple):
 
 
 @dataclass(frozen=True, repr=False)
-class FollowedPath(Generic[S]):
+class FollowedPath:
     """A solution along a path."""
 
     parameters: FloatArray
     """Parameters at which the path was solved, from 0 to 1, or up to the end of the solution, shape (n,)."""
-    configurations: S
+    configurations: Configuration
     """The solution there, batch of shape (n,)."""
     labels: tuple[str, ...]
     """Label of the solution at each parameter, n of them."""
@@ -116,13 +114,13 @@ class FollowedPath(Generic[S]):
 
 def followed(
     watch: Watch,
-    solve: Solver[S],
+    solve: Solver,
     knots: FloatArray,
-    start: S | str | None,
+    start: Configuration | str | None,
     samples: int,
     *,
     has_legs: bool,
-) -> FollowedPath[S]:
+) -> FollowedPath:
     """Follow the solution that `start` names, or the nearest to it; `solve` returns all at a parameter."""
     count, solutions = whole_number(samples, "samples", least=1, most=10**9), solve(0.0)
     tracker = Tracker(watch, solve, solutions, _start(solutions, start), has_legs=has_legs)
@@ -136,7 +134,7 @@ def followed(
     return FollowedPath(np.array(tracker.parameters), states, tuple(tracker.labels), ordered)
 
 
-def _start(solutions: SolutionSet[S], start: S | str | None) -> int:
+def _start(solutions: SolutionSet, start: Configuration | str | None) -> int:
     """Return the index of the solution to follow."""
     if isinstance(start, str):
         if start not in solutions.labels or not solutions[start].exists:
@@ -145,8 +143,7 @@ def _start(solutions: SolutionSet[S], start: S | str | None) -> int:
             raise ArgumentError("start", "the label of a solution that is real where the path begins", received)
         return solutions.labels.index(start)
     if start is not None:
-        check_instance(start, type(solutions.configurations), "start")
-        check_members(start, "start", single=True, existing=True)
+        check_configuration(start, "start", single=True, existing=True, of=type(solutions.machine))
     chosen = solutions.physical() if start is None else solutions.nearest(start)
     if not chosen.exists:
         reason = f"{chosen.missing_reason}. A solution that is not physical is named by its label"
@@ -156,21 +153,21 @@ def _start(solutions: SolutionSet[S], start: S | str | None) -> int:
     return int(np.where(solutions.exists, gap, np.inf).argmin())
 
 
-class Tracker(Generic[S]):
+class Tracker:
     """The solution followed so far."""
 
     def __init__(
         self,
         watch: Watch,
-        solve: Solver[S],
-        solutions: SolutionSet[S],
+        solve: Solver,
+        solutions: SolutionSet,
         place: int,
         *,
         has_legs: bool,
     ) -> None:
         self.watch, self.solve, self.has_legs = watch, solve, has_legs
         self.parameters = [0.0]
-        self.states: list[S] = [solutions.configurations[place]]
+        self.states: list[Configuration] = [solutions.configurations[place]]
         self.labels = [solutions.labels[place]]
         self.events: list[Event] = []
         self._step = 1e-6
@@ -208,7 +205,7 @@ class Tracker(Generic[S]):
     def _is_same(self, label: str) -> bool:
         return label == self.labels[-1] or not self.watch.has_labels
 
-    def _nearest(self, solutions: SolutionSet[S], ahead: float) -> tuple[int | None, bool]:
+    def _nearest(self, solutions: SolutionSet, ahead: float) -> tuple[int | None, bool]:
         """Return the solution nearest to the predicted one, if any is near, and whether it clearly is."""
         here = self.states[-1].compared_points
         predicted = here
@@ -246,7 +243,7 @@ class Tracker(Generic[S]):
                 reason = f"at a singularity: of {leg}, whose actuator no longer moves its ball"
         self.events.append(Event(EventKind.END, parameter, f"{self.labels[-1]}, {reason}"))
 
-    def state(self, parameter: float) -> S:
+    def state(self, parameter: float) -> Configuration:
         """Return the followed solution anywhere between two places where it is known."""
         k = int(np.clip(np.searchsorted(self.parameters, parameter), 1, len(self.parameters) - 1))
         low, high = self.parameters[k - 1], self.parameters[k]

@@ -1,7 +1,7 @@
 """Machines, `Stage` and `Manipulator` (two stages), their states and sets of states. No Pinocchio, CasADi or Numba.
 
-Base classes: `Machine` of both, with `Legs` of three or six; `Batched` of their states, `StageConfiguration` and
-`Configuration`; `SolutionSet` of sets of either.
+`Machine` is their base class, with `Legs` of three or six; a `Configuration` is a state of either, a `SolutionSet` some
+states.
 """
 
 from spm_pin.machine.branch_of_state import BRANCHES, FAMILIES
@@ -12,9 +12,8 @@ from spm_pin.machine.leg_kinds import PRS, RPS, RRS, LegKind
 from spm_pin.machine.legs import LEGS, STAGE_LEGS, LegLimits, Legs, PlacedLegs, StageLimits
 from spm_pin.machine.machine import Machine
 from spm_pin.machine.manipulator import PARAMETERS, Manipulator
-from spm_pin.machine.solutions import Degeneracy, SolutionSet, Status
+from spm_pin.machine.solutions import OPERATION_MODES, Degeneracy, SolutionSet, Status
 from spm_pin.machine.stage import Stage
-from spm_pin.machine.stage_configuration import OPERATION_MODES, StageConfiguration
 from spm_pin.support.pose import PoseLike, as_rigid_transform, pose
 
 __all__ = [
@@ -40,7 +39,6 @@ __all__ = [
     "RealMachine",
     "SolutionSet",
     "Stage",
-    "StageConfiguration",
     "StageLimits",
     "Status",
     "as_rigid_transform",

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from spm_pin.formulas import wrenches
 from spm_pin.formulas.operations import on_arrays, rows_of
-from spm_pin.machine.batched import Batched, halves
+from spm_pin.machine.configuration import Configuration, halves
 from spm_pin.support.arguments import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def branch_sign(configuration: Configuration) -> FloatArray:
     return np.where(exists, det_k * np.sign(kappa), np.nan)
 
 
-def stage_coordinates(configuration: Batched, modes: str = "TT") -> FloatArray:
+def stage_coordinates(configuration: Configuration, modes: str = "TT") -> FloatArray:
     """Return (x, y, Z [m]) of the lower stage in {B} and of the upper one in {m}, (..., 2, 3); (..., 1, 3) for a stage.
 
     x and y are parts of the quaternion of the middle platform, turned by half a turn about its normal in mode F; Z is

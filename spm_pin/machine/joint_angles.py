@@ -28,11 +28,10 @@ from spm_pin.formulas.leg_constants import AXES, TANGENT_SIGNS
 from spm_pin.formulas.leg_planes import upper_balls
 from spm_pin.formulas.operations import ARRAYS, bind, on_arrays
 from spm_pin.formulas.vectors import dot, minus, times, transposed
-from spm_pin.machine.configuration import Configuration, check_state
+from spm_pin.machine.configuration import Configuration, check_configuration
 from spm_pin.machine.leg_kinds import KINDS, RPS, LegKind
 from spm_pin.machine.legs import LEGS
 from spm_pin.machine.machine import Machine, check_machine
-from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.support.arguments import FloatArray, frozen, type_and_value, whole_number
 
 # Number of configurations computed together: intermediate arrays then stay in the processor's cache.
@@ -229,25 +228,23 @@ class JointAngles:
         return balls.reshape(*balls.shape[:-1], 3, balls.shape[-1] // 3)
 
 
-def joint_angles(
-    configuration: Configuration | StageConfiguration, corners: tuple[int, ...] = (0, 1, 2)
-) -> JointAngles:
+def joint_angles(configuration: Configuration, corners: tuple[int, ...] = (0, 1, 2)) -> JointAngles:
     """Return the joint values of configurations of shape (...), closed or not.
 
     The ball joints are those of the legs `corners`, 0 to 2, of each stage. The values of a member are the
     same bits in any batch.
     """
-    check_state(configuration)
+    check_configuration(configuration)
     if not isinstance(corners, tuple | list):
         raise ArgumentError("corners", "a tuple of legs, 0 to 2", type_and_value(corners))
     corners = tuple(whole_number(corner, "corners", "legs, 0 to 2", most=2) for corner in corners)
     shape, constants = configuration.shape, _constants(configuration.machine)
     legs = len(constants.legs)
     count = 2 * legs + legs * len(corners)
-    if isinstance(configuration, Configuration):
-        state = [configuration.rotation, configuration.translation, configuration.middle_joints]
-    else:
+    if configuration.machine.is_stage:
         state = [configuration.balls]
+    else:
+        state = [configuration.rotation, configuration.translation, configuration.middle_joints]
     if not shape:
         return _single(state, constants, corners)
     size = math.prod(shape)

@@ -5,20 +5,18 @@ from __future__ import annotations
 import enum
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Any, Generic, Self, overload
+from typing import Any, Self, overload
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import RigidTransform
 
 from spm_pin.errors import ArgumentError, NotOneSolutionError, SelectionError
-from spm_pin.machine.batched import Batched, batch_index
 from spm_pin.machine.branch_of_state import BRANCHES, FAMILIES, branch_sign, family
-from spm_pin.machine.configuration import Configuration, check_state
+from spm_pin.machine.configuration import Configuration, batch_index, check_configuration
 from spm_pin.machine.legs import LegLimits
 from spm_pin.machine.machine import unit_hint
 from spm_pin.machine.manipulator import Manipulator, check_manipulator
-from spm_pin.machine.stage_configuration import BELOW, OPERATION_MODES
 from spm_pin.support import notebook
 from spm_pin.support.arguments import (
     BoolArray,
@@ -33,18 +31,15 @@ from spm_pin.support.arguments import (
 )
 from spm_pin.support.pose import PoseLike, as_rigid_transform
 
-if TYPE_CHECKING:  # a default, with which the bare name is that of a manipulator's solutions, is new in Python 3.13
-    from typing_extensions import TypeVar
-
-    S = TypeVar("S", bound=Batched, default=Configuration)
-else:
-    from typing import TypeVar
-
-    S = TypeVar("S", bound=Batched)
-
 _NEAREST, _REACHED = "For the nearest", "that is reached see spm_pin.workspace.nearest_reachable_pose"
 _FAR_TURN = 45.0
 """Turns of the platform larger than this, which are rare, may be given in another unit of angles [degrees]."""
+
+
+OPERATION_MODES = ("T", "F")
+"""The two solutions of an inverse displacement of a stage: without torsion, and with half a turn of torsion."""
+BELOW = "The height is negative: below the pivots"
+"""A cause for a missing physical state of a stage."""
 
 
 class Status(enum.IntEnum):
@@ -80,12 +75,12 @@ class Degeneracy:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SolutionSet(Generic[S]):
+class SolutionSet:
     """The solutions of one problem, or of a batch of problems, along one axis.
 
     Parameters
     ----------
-    configurations : Configuration or StageConfiguration
+    configurations : Configuration
         Batch of shape (..., n): the solutions, NaN where one is not real.
     labels : sequence of n str
         Names of the positions along the axis.
@@ -120,7 +115,7 @@ class SolutionSet(Generic[S]):
     stage the `OPERATION_MODES` T, without torsion, and F, with a half turn, or the sixteen `STAGE_MODES`.
     """
 
-    configurations: S
+    configurations: Configuration
     labels: tuple[str, ...]
     status: Status | npt.NDArray[np.int8]
     discriminants: FloatArray | None = None
@@ -133,7 +128,7 @@ class SolutionSet(Generic[S]):
     """True if a mask has excluded solutions."""
 
     def __post_init__(self) -> None:
-        shape = check_state(self.configurations, "configurations").shape
+        shape = check_configuration(self.configurations, "configurations").shape
         count = len(self.labels)
         if not shape or shape[-1] != count:
             raise ArgumentError("configurations", f"a last axis of {count}, one per label", f"shape {shape}")
@@ -182,9 +177,9 @@ class SolutionSet(Generic[S]):
         return np.asarray(np.count_nonzero(self.exists, axis=-1), dtype=np.intp)
 
     @overload
-    def __getitem__(self, index: str) -> S: ...
+    def __getitem__(self, index: str) -> Configuration: ...
     @overload
-    def __getitem__(self, index: Any) -> S | Self: ...
+    def __getitem__(self, index: Any) -> Configuration | Self: ...
     def __getitem__(self, index: Any) -> Any:
         if isinstance(index, str):
             if index not in self.labels:
@@ -204,7 +199,7 @@ class SolutionSet(Generic[S]):
         details = {name: None if x is None else x[inner] for name, x in details.items()}
         return replace(self, configurations=chosen, status=np.asarray(self.status)[index], **details)
 
-    def __iter__(self) -> Iterator[S]:
+    def __iter__(self) -> Iterator[Configuration]:
         if self.shape:
             raise TypeError("a batch of problems is indexed, not iterated over: solutions[i] is problem i")
         return (self.configurations[k] for k in range(len(self.labels)))
@@ -223,7 +218,7 @@ class SolutionSet(Generic[S]):
         hint = self._hint(()) if self.status is Status.UNREACHABLE else ""
         return f"<{name}: {self.status}, {self.count} of {len(self.labels)} real: {shown}{hint}>"
 
-    def pick(self, index: IntArray, exists: BoolArray) -> S:
+    def pick(self, index: IntArray, exists: BoolArray) -> Configuration:
         """Return the solution of each problem at `index` (...); NaN, pose included, where `exists` (...) is False."""
         everywhere = bool(exists.all())
         # A slice for a single problem, so that nothing shares memory with the others.
@@ -259,7 +254,7 @@ class SolutionSet(Generic[S]):
         self.configurations.machine.check_limits(limits)
         return self.where(limits.contains(self.readings))
 
-    def nearest(self, near: S | npt.ArrayLike) -> S:
+    def nearest(self, near: Configuration | npt.ArrayLike) -> Configuration:
         """Return the solution whose joints are nearest to those of `near`; NaN if none exists.
 
         Solutions are compared by their largest displacement of a joint: of all `compared_points` of a state, or of the
@@ -267,10 +262,10 @@ class SolutionSet(Generic[S]):
         """
         return self._nearest(near, self.exists)
 
-    def _nearest(self, near: S | npt.ArrayLike, candidates: BoolArray) -> S:
+    def _nearest(self, near: Configuration | npt.ArrayLike, candidates: BoolArray) -> Configuration:
         points = self.configurations.compared_points
-        if isinstance(near, Batched):
-            target = near.compared_points
+        if isinstance(near, Configuration):
+            target = check_configuration(near, "near", of=type(self.machine)).compared_points
         else:
             target = real_array(near, "near", (3, 3), "a state, or rows b_1, b_2, b_3 in metres")
         points = points[..., : target.shape[-2], :]
@@ -305,7 +300,7 @@ class SolutionSet(Generic[S]):
         several = np.count_nonzero(self.is_physical, axis=-1) > 1
         return several if self.shape else bool(several)
 
-    def physical(self, near: S | npt.ArrayLike | None = None) -> S:
+    def physical(self, near: Configuration | npt.ArrayLike | None = None) -> Configuration:
         """Return the physical solution; NaN if missing.
 
         From `is_physical` it chooses the nearest to `near` if given. Without `near`, two solutions on either side of an
@@ -316,7 +311,7 @@ class SolutionSet(Generic[S]):
             return self._nearest(near, candidates)
         return self.pick(least_tilted(self.configurations, candidates), np.asarray(candidates.any(axis=-1)))
 
-    def one(self) -> S:
+    def one(self) -> Configuration:
         """Return the only solution of every problem.
 
         Raises
@@ -382,7 +377,7 @@ class SolutionSet(Generic[S]):
         return SolutionSet(branches, BRANCHES, status)
 
     @property
-    def middle_joints(self: SolutionSet) -> FloatArray:
+    def middle_joints(self) -> FloatArray:
         """Ball joint centres b_1, b_2, b_3 as rows in {B} [m], shape (..., n, 3, 3); NaN where not real."""
         return self.configurations.middle_joints
 
@@ -439,7 +434,7 @@ class SolutionSet(Generic[S]):
         return _following(reasons)
 
 
-def least_tilted(states: Batched, candidates: BoolArray) -> IntArray:
+def least_tilted(states: Configuration, candidates: BoolArray) -> IntArray:
     """Return the index (...) of the candidate (..., n) whose stages are least tilted, 0 if there is none."""
     if np.count_nonzero(candidates) <= 1:
         return np.asarray(candidates.argmax(axis=-1))

@@ -22,12 +22,12 @@ from spm_pin import multibody
 from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import physical_at_poses
-from spm_pin.machine import Configuration, Manipulator, Stage, StageConfiguration
+from spm_pin.machine import Configuration, Manipulator, Stage
 from spm_pin.multibody.trajectory import PlatformMotion, PlatformPath
 from spm_pin.support.arguments import FloatArray, IntArray, leg_bounds, leg_values, real_array
 
 AnyMachine = Manipulator | Stage
-State = Configuration | StageConfiguration
+State = Configuration
 ROUNDING = 1e-9
 """Amount by which a rule of a path may be broken, in its unit: a state at its limit keeps it."""
 STEP = 0.005

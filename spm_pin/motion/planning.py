@@ -23,8 +23,7 @@ from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import inverse_physical
 from spm_pin.kinematics.singularity_analysis import determinants
 from spm_pin.machine import LegLimits, PoseLike, Stage, as_rigid_transform
-from spm_pin.machine.batched import Batched
-from spm_pin.machine.configuration import check_members
+from spm_pin.machine.configuration import Configuration, check_configuration
 from spm_pin.machine.machine import check_machine
 from spm_pin.machine.manipulator import check_same_machine
 from spm_pin.motion.paths import (
@@ -117,7 +116,7 @@ def plan(
     ----------
     machine : Manipulator or Stage
         The machine.
-    start, goal : Configuration, pose, or array_like of shape (6,); for a stage StageConfiguration, or (3,)
+    start, goal : Configuration, pose, or array_like of shape (6,); for a stage Configuration, or (3,)
         The states: a configuration in the physical mode, a pose of {m} in {B}, or readings [m] ([rad] for RRS legs).
         The state of a tilt and a height is ``spm.inverse_physical(stage, height, tilt=…)``.
     limits : LegLimits, or StageLimits or a pair for a stage, optional
@@ -196,8 +195,8 @@ def plan(
 def _state(machine: AnyMachine, place: Place, name: str) -> State:
     """Return the physical state of a configuration, a pose or leg lengths."""
     count, unit = len(machine.legs.names), machine.legs.unit_text()
-    if isinstance(place, Batched):
-        check_members(place, name, single=True, existing=True)
+    if isinstance(place, Configuration):
+        check_configuration(place, name, single=True, existing=True)
         check_same_machine(place.machine, machine, name, "`machine`")
         physical = forward_physical(machine, place.readings)
         apart = np.abs(physical.balls - place.balls).max() if physical.exists else np.inf
@@ -215,7 +214,7 @@ def _state(machine: AnyMachine, place: Place, name: str) -> State:
         return state
     if isinstance(machine, Stage):
         cause = "spm.inverse_physical(stage, height, tilt=…, azimuth=…) is the state of a tilt and a height"
-        raise ArgumentError(name, "a StageConfiguration or three readings", type_and_value(place), cause)
+        raise ArgumentError(name, "a Configuration or three readings", type_and_value(place), cause)
     if array is not None and array.ndim < 2 and array.dtype.kind != "O":
         received = f"shape {array.shape}" if array.dtype.kind in "iuf" else type_and_value(place)
         cause = "via is a list of states" if name.startswith("via") else ""

@@ -29,13 +29,12 @@ from spm_pin.kinematics.inverse_displacement import physical_at_poses
 from spm_pin.loops.batched_state import at_index
 from spm_pin.loops.closed_chain import ClosedChain as LoopChain
 from spm_pin.loops.state_kinematics import AGREEMENT
-from spm_pin.machine.configuration import Configuration, check_state
+from spm_pin.machine.configuration import Configuration, check_configuration
 from spm_pin.machine.joint_angles import joint_angles, value_names
 from spm_pin.machine.legs import check_path_readings
 from spm_pin.machine.machine import Machine, check_machine
 from spm_pin.machine.manipulator import Manipulator, check_rps, check_same_machine
 from spm_pin.machine.stage import Stage
-from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.multibody.chain_state import ChainState
 from spm_pin.multibody.constrained_model import ConstrainedModel, TreeKinematics, read_vectors, widest
 from spm_pin.multibody.mounting import MountedChain, mount
@@ -203,20 +202,20 @@ class ClosedChain:
         place = self._constrained.platform if frame is None else f"{self.prefix}{frame}"
         return mount(self, other, place, placement, carried=True)
 
-    def joint_values(self, configuration: Configuration | StageConfiguration) -> FloatArray:
+    def joint_values(self, configuration: Configuration) -> FloatArray:
         """Return q (..., nq) of a configuration of the chain's machine, in closed form: angles in [-π, π].
 
         Its leg limits are not applied. The configuration is closed to 1e-9 of the middle platform's side at least, and
         the tree as far as it is; members of a batch that do not exist are NaN.
         """
-        state = check_state(configuration, existing=not np.shape(getattr(configuration, "exists", True)))
+        state = check_configuration(configuration, existing=not np.shape(getattr(configuration, "exists", True)))
         if state.machine is not self.machine:
             check_same_machine(state.machine, self.machine, "configuration", "the chain")
             # With the chain's own limits: they set the zero of its slides.
             state = state.with_machine(self.machine)
         return self._values_of(state)
 
-    def _values_of(self, configuration: Configuration | StageConfiguration) -> FloatArray:
+    def _values_of(self, configuration: Configuration) -> FloatArray:
         """Return `joint_values` of a configuration of the chain's own machine."""
         angles = joint_angles(configuration, corners=(0,))
         is_open = angles.closure_residual > AGREEMENT * self._constrained.side
@@ -330,7 +329,7 @@ class ClosedChain:
 
     def _physical_values(
         self,
-        configuration: Configuration | StageConfiguration,
+        configuration: Configuration,
         argument: str,
         expected: str,
         received: Callable[[], str],

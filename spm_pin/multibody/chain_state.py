@@ -18,7 +18,6 @@ from scipy.linalg import LinAlgError, eigh
 from spm_pin.errors import ArgumentError
 from spm_pin.loops.loop_state import TreeState
 from spm_pin.machine.configuration import Configuration
-from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.multibody.constrained_model import (
     ConstrainedModel,
     SingularValues,
@@ -164,7 +163,7 @@ class ChainState(ConstrainedState):
     ±90°, and `SingularConfigurationError` at the singularities they name, where a matrix is singular to rounding.
     """
 
-    def configuration(self) -> Configuration | StageConfiguration:
+    def configuration(self) -> Configuration:
         """Return the configuration (...): the pose of m and those of the middle platform's corners.
 
         If q is open, so is the configuration, and its leg lengths are those between its points, not those of q.
@@ -178,7 +177,7 @@ class ChainState(ConstrainedState):
         corners = len(constrained.corner_frames)
         rotation, translation, points = self._each_member(member, [(3, 3), (3,), (corners, 3)])
         if constrained.is_stage:
-            return StageConfiguration.from_arrays(constrained.machine, rotation, translation)
+            return Configuration.from_arrays(constrained.machine, rotation, translation)
         return Configuration.from_arrays(constrained.machine, rotation, translation, points)
 
     def inverse_jacobian(self) -> FloatArray:

@@ -13,10 +13,10 @@ from scipy.spatial.transform import RigidTransform
 
 from spm_pin.errors import ArgumentError, DescriptionError
 from spm_pin.loops.closed_chain import ClosedChain as LoopChain
+from spm_pin.machine.configuration import Configuration
 from spm_pin.machine.leg_kinds import KINDS, PRS, RPS, RRS, LegKind
 from spm_pin.machine.legs import RADIAL, Legs, StageLimits
 from spm_pin.machine.stage import Stage
-from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.multibody.tripod_legs import LETTERS, LegJoint, Tripod, find_legs
 from spm_pin.support.arguments import FloatArray, frozen, real_array, real_number
 from spm_pin.support.pose import PoseLike, as_rigid_transform
@@ -386,7 +386,7 @@ def _simplest(stage: Stage, rounding: float) -> Stage:
 
 def _check_home(found: MeasuredStage, legs: list[_Leg], pose: RigidTransform) -> None:
     """Raise `DescriptionError` unless the home is a physical state of the stage with the readings of the chain."""
-    state, expected = StageConfiguration(found.stage, pose), np.empty(3)
+    state, expected = Configuration(found.stage, pose), np.empty(3)
     expected[found.legs] = [leg.value for leg in legs]
     apart = np.abs(state.readings - found.readings(expected)) / (1.0 if found.stage.unit == "rad" else found.stage.size)
     if not (bool(state.is_at_home) and apart.max() <= _OTHER_MODE):

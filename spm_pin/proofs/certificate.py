@@ -20,12 +20,11 @@ from spm_pin.errors import ArgumentError, GeometryError, SpmError, raised_as
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.path_following import existing_share
 from spm_pin.kinematics.singularity_analysis import determinants
-from spm_pin.machine.configuration import Configuration, check_state
+from spm_pin.machine.configuration import Configuration, check_configuration
 from spm_pin.machine.legs import LegLimits
 from spm_pin.machine.machine import Machine, check_machine
 from spm_pin.machine.manipulator import Manipulator
 from spm_pin.machine.stage import Stage
-from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.proofs.stage_proof import (
     DEEPEST,
     Boxes,
@@ -70,7 +69,7 @@ class Certificate:
     """Limits of the readings."""
     stages: tuple[StageProof, ...]
     """Subdivision of each stage: for a manipulator of the lower and of the upper one."""
-    witness: Configuration | StageConfiguration | None
+    witness: Configuration | None
     """A forward singular configuration within the limits, where one was found; None otherwise. It lies in a box that is
     joined to the home through other boxes of the nominal machine alone, without errors, so it may still not be joined
     to the home itself."""
@@ -119,12 +118,12 @@ class Certificate:
         most = _widened(self.machine, self.errors)
         return errors[0] <= most[0] and errors[1] <= most[1]
 
-    def covers(self, configuration: Configuration | StageConfiguration) -> BoolArray:
+    def covers(self, configuration: Configuration) -> BoolArray:
         """Return which configurations (...) are proved to be the only one of their readings, shape (...).
 
         They respect the limits, and their stages lie in boxes of the proof. Nothing is covered if it does not hold.
         """
-        check_state(configuration)
+        check_configuration(configuration)
         if not self.concerns(configuration.machine):
             raise ArgumentError("configuration", "a state of the certificate's machine", "a state of another machine")
         inside = self.limits.contains(configuration.readings)
@@ -183,7 +182,7 @@ class Certificate:
         is_angle = self.machine.legs.units[leg] == "rad"
         return f"{np.degrees(reading):{form}}°" if is_angle else f"{reading:{form}} m"
 
-    def _readings(self, state: Configuration | StageConfiguration) -> str:
+    def _readings(self, state: Configuration) -> str:
         return ", ".join(self._reading(reading, leg) for leg, reading in enumerate(state.readings))
 
     def _whose(self) -> list[str]:

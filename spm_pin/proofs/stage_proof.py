@@ -42,8 +42,7 @@ from spm_pin.formulas.planar_legs import Circle
 from spm_pin.formulas.stages import pair_determinant
 from spm_pin.formulas.vectors import combined, matrix_product, minus, times
 from spm_pin.kinematics.intervals import INTERVALS, SQRT_3, Interval, as_interval
-from spm_pin.machine import Configuration, StageConfiguration
-from spm_pin.machine.batched import Batched
+from spm_pin.machine import Configuration
 from spm_pin.machine.branch_of_state import stage_coordinates
 from spm_pin.machine.leg_kinds import KINDS, RPS, LegKind
 from spm_pin.support.arguments import BoolArray, FloatArray
@@ -285,20 +284,20 @@ def _largest(value: Interval | float) -> FloatArray:
     return np.maximum(np.abs(value.low), np.abs(value.high))
 
 
-def region_coordinates(configuration: Batched) -> FloatArray:
+def region_coordinates(configuration: Configuration) -> FloatArray:
     """Return the states (x, y, Z [m]) of the stages, shape (..., stages, 3); NaN for states not in mode T."""
     coordinates = stage_coordinates(configuration)
     return _MIRROR[: coordinates.shape[-2]] * coordinates
 
 
-def configuration_at(machine: Any, states: FloatArray) -> Configuration | StageConfiguration:
+def configuration_at(machine: Any, states: FloatArray) -> Configuration:
     """Return the configuration of the states (stages, 3) of a nominal machine."""
     (_, r), poses = machine.stage_radii[0], []
     for x, y, z in _MIRROR[: len(states)] * states:
         rotation = Rotation.from_quat([x, y, 0.0, np.sqrt(max(1.0 - x * x - y * y, 0.0))])
         poses.append(RigidTransform.from_components([-2.0 * r * x * y, r * (y * y - x * x), z], rotation))
     if len(poses) == 1:
-        return StageConfiguration(machine, poses[0])
+        return Configuration(machine, poses[0])
     joints = poses[0].apply(r * machine.radial_directions)
     return Configuration(machine, poses[0] * poses[1].inv(), joints)
 

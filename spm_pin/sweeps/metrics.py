@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics import forward_displacement, singular_values
-from spm_pin.machine import BRANCHES, Configuration, StageConfiguration, Status
+from spm_pin.machine import BRANCHES, Configuration, Status
 from spm_pin.support.arguments import BoolArray, FloatArray, check_instance, choice, real_number
 from spm_pin.sweeps.points import Points
 
@@ -252,7 +252,7 @@ def prepare_metrics(metrics: Iterable[Metric], points: Points) -> None:
 
 def condition(
     metric: str | Metric, *, least: float | None = None, most: float | None = None
-) -> Callable[[Configuration | StageConfiguration], BoolArray]:
+) -> Callable[[Configuration], BoolArray]:
     """Return a condition on states, for volumes: a metric is between `least` and `most`.
 
     Parameters
@@ -287,7 +287,7 @@ def condition(
     return partial(_is_within, chosen, low, high)
 
 
-def _is_within(metric: Metric, least: float, most: float, states: Configuration | StageConfiguration) -> BoolArray:
+def _is_within(metric: Metric, least: float, most: float, states: Configuration) -> BoolArray:
     # Solving the readings anew may find another state: a PRS stage can have two in its home assembly region.
     flat = states.transformed(lambda array, inner: array.reshape(-1, *array.shape[array.ndim - inner :]))
     values = metric.evaluate(Points.of_states(flat))

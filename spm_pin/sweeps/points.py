@@ -21,7 +21,6 @@ from spm_pin.kinematics import (
 from spm_pin.kinematics.stage_displacement import normals_of_tilt
 from spm_pin.kinematics.stage_rates import motion_rows
 from spm_pin.machine import Configuration, LegLimits, Manipulator, SolutionSet, Stage, Status
-from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.support.arguments import BoolArray, FloatArray, frozen
 
 Space = Literal["pose", "tilt", "legs"]
@@ -71,7 +70,7 @@ class Points:
         self._singular_values: dict[float, FloatArray] = {}
 
     @classmethod
-    def of_states(cls, states: Configuration | StageConfiguration) -> Points:
+    def of_states(cls, states: Configuration) -> Points:
         """Return points at states (N,), whatever the limits of their machine and their assembly modes."""
         points = cls(states.machine, "legs", np.array(states.readings))
         points.limits, points.assembled = states.machine.legs.free_limits, states
@@ -106,7 +105,7 @@ class Points:
         return frozen(self.limits.contains(self.branch_readings))
 
     @cached_property
-    def solutions(self) -> SolutionSet | SolutionSet[StageConfiguration]:
+    def solutions(self) -> SolutionSet:
         """All branches of the pose, leg limits not applied, of shape (N,); for a stage the modes of the tilt.
 
         If points are readings, the pose is that of `assembled`; where it does not exist, no branch exists.
@@ -120,7 +119,7 @@ class Points:
         return type(solutions)(branches, solutions.labels, status)  # type: ignore[no-any-return]
 
     @cached_property
-    def physical(self) -> Configuration | StageConfiguration:
+    def physical(self) -> Configuration:
         """The physical configuration, shape (N,); NaN where it does not exist within the leg limits."""
         return self.reached.transformed(lambda values, _: _spread(values, self.reachable))
 
@@ -130,12 +129,12 @@ class Points:
         return self._reached[0]
 
     @property
-    def reached(self) -> Configuration | StageConfiguration:
+    def reached(self) -> Configuration:
         """The M members of `physical` that exist."""
         return self._reached[1]
 
     @cached_property
-    def _reached(self) -> tuple[BoolArray, Configuration | StageConfiguration]:
+    def _reached(self) -> tuple[BoolArray, Configuration]:
         if self.space == "legs":
             reachable = self.limits.contains(self.coordinates) & self.assembled.exists
             return frozen(reachable), self.assembled[reachable]
@@ -180,7 +179,7 @@ class Points:
         return self._singular_values[length]
 
     @cached_property
-    def assembled(self) -> Configuration | StageConfiguration:
+    def assembled(self) -> Configuration:
         """The physical configuration with readings that are the coordinates, limits aside, shape (N,)."""
         return forward_physical(self.machine, self.coordinates)
 

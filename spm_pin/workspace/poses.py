@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise, product
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -29,13 +29,12 @@ from spm_pin.machine import (
     PoseLike,
     SolutionSet,
     Stage,
-    StageConfiguration,
     Status,
     as_rigid_transform,
     joint_angles,
 )
 from spm_pin.machine.branch_of_state import branch_sign, family
-from spm_pin.machine.configuration import Condition, check_configuration, check_state
+from spm_pin.machine.configuration import Condition, check_configuration
 from spm_pin.machine.manipulator import check_manipulator, check_same_machine
 from spm_pin.machine.solutions import least_tilted
 from spm_pin.support.arguments import (
@@ -51,8 +50,6 @@ from spm_pin.workspace.nearest_state import nearest_state
 from spm_pin.workspace.search import nearest_states
 from spm_pin.workspace.stage_reach import nearest_tilt
 from spm_pin.workspace.state_set import free_states, given_limits, states_around, states_within
-
-S = TypeVar("S", Configuration, StageConfiguration)
 
 _PAIRS = {n: np.array([(i, j) for i in range(n) for j in range(i + 1, n) if j != i + 3]) for n in (3, 6)}
 """Pairs of the legs of a stage, or of a manipulator, that have no joint in common, by their indices."""
@@ -109,17 +106,17 @@ class JointLimits:
             clearance = real_number(self.clearance, "clearance", "a distance in metres, not negative", least=0.0)
             object.__setattr__(self, "clearance", clearance)
 
-    def __call__(self, configuration: Configuration | StageConfiguration) -> BoolArray:
+    def __call__(self, configuration: Configuration) -> BoolArray:
         """Return which states (...) keep all limits: a condition for `where` of `reach`, `pose_volume` and others."""
         with np.errstate(invalid="ignore"):
             return (self.angle_margin(configuration) >= 0.0) & (self.clearance_margin(configuration) >= 0.0)
 
-    def angle_margin(self, configuration: Configuration | StageConfiguration) -> FloatArray:
+    def angle_margin(self, configuration: Configuration) -> FloatArray:
         """Return the distance of the worst angle from its limits, shape (...) [rad].
 
         Negative outside, infinite without limits, NaN where a state does not exist.
         """
-        margin = np.full(check_state(configuration).shape, np.inf)
+        margin = np.full(check_configuration(configuration).shape, np.inf)
         limited = [name for name in _ANGLES if getattr(self, name) is not None]
         angles = joint_angles(configuration) if limited else None
         for name in limited:
@@ -127,21 +124,21 @@ class JointLimits:
             margin = np.minimum(margin, np.minimum(values - low, high - values).min(axis=-1))
         return np.where(configuration.exists, margin, np.nan)
 
-    def clearance_margin(self, configuration: Configuration | StageConfiguration) -> FloatArray:
+    def clearance_margin(self, configuration: Configuration) -> FloatArray:
         """Return the distance of the nearest legs minus the clearance, shape (...) [m]; see `angle_margin`."""
         if self.clearance is None:
-            return np.where(check_state(configuration).exists, np.inf, np.nan)
+            return np.where(check_configuration(configuration).exists, np.inf, np.nan)
         return leg_clearance(configuration) - self.clearance
 
 
-def leg_clearance(configuration: Configuration | StageConfiguration) -> FloatArray:
+def leg_clearance(configuration: Configuration) -> FloatArray:
     """Return the least distance of the axes of two legs that have no joint in common, shape (...) [m].
 
     An axis goes from the pivot to the ball joint's centre, in PRS and RRS legs by way of the carriage or the knee. From
     the fifteen pairs of legs, the three that meet at a corner of the middle platform are left out. NaN where a state
     does not exist.
     """
-    check_state(configuration)
+    check_configuration(configuration)
     # For RPS legs the first segment has no length.
     points = [configuration.leg_bases, configuration.circle_centres, configuration.balls]
     points = [np.broadcast_to(each, configuration.balls.shape) for each in points]
@@ -178,7 +175,7 @@ def _segment_distance2(p: FloatArray, u: FloatArray, q: FloatArray, v: FloatArra
 class Reachability:
     """Reachability of poses of shape (...), with margins."""
 
-    branches: SolutionSet | SolutionSet[StageConfiguration]
+    branches: SolutionSet
     """All eight branches of each pose, limits not applied, shape (...); for a stage both modes of the tilt."""
     allowed: BoolArray
     """Mask of branches that count and keep all limits, shape (..., 8); for a stage (..., 2), as in all fields below."""
@@ -209,16 +206,16 @@ class Reachability:
         return np.where(self.allowed.any(axis=-1), index, -1).astype(np.intp)
 
     @property
-    def configuration(self) -> Configuration | StageConfiguration:
+    def configuration(self) -> Configuration:
         """The state of that branch, shape (...); NaN if no branch is allowed."""
         return self.branches.pick(np.maximum(self.branch, 0), np.asarray(self.allowed.any(axis=-1)))
 
 
 @dataclass(frozen=True)
-class NearestPose(Generic[S]):
+class NearestPose:
     """A reachable state near an unreachable pose; arrays over the given poses, of shape (...)."""
 
-    configuration: S
+    configuration: Configuration
     """The nearest state found."""
     distance: Any
     """Distance from the given pose, see `pose_distance` [m]; a float for one pose. For a stage the angle between the
@@ -240,7 +237,7 @@ def _reachable_by_stage(
 
 
 def _reachability(
-    branches: SolutionSet | SolutionSet[StageConfiguration],
+    branches: SolutionSet,
     limits: LegLimits | None,
     joints: JointLimits | None,
     branch: str,
@@ -335,7 +332,7 @@ def _nearest_of_stage(
     pitch: float | None = None,
     normal: npt.ArrayLike | None = None,
     where: Condition | None = None,
-) -> NearestPose[StageConfiguration]:
+) -> NearestPose:
     target = normals_of_request(tilt, azimuth, roll, pitch, normal)
     state = nearest_tilt(machine, height, target, where)
     angle = np.arctan2(np.linalg.norm(np.cross(state.normal, target)), state.normal @ target)
@@ -350,7 +347,7 @@ def nearest_reachable_pose(
     *,
     branch: str | None = None,
     near: Configuration | None = None,
-) -> NearestPose[Configuration]:
+) -> NearestPose:
     """Find the reachable pose nearest to one that may be out of reach.
 
     For a stage the arguments are a height and a tilt instead of a pose, as for `inverse_displacement` but for one
@@ -419,7 +416,7 @@ def nearest_reachable_pose(
 
 
 def _check_near(machine: Manipulator, near: Configuration, limits: LegLimits) -> None:
-    if check_configuration(near, "near").shape or not near.exists:
+    if check_configuration(near, "near", of=Manipulator).shape or not near.exists:
         raise ArgumentError("near", "a single Configuration that exists", repr(near))
     check_same_machine(near.machine, machine, "near", "`machine`")
     if not limits.contains(near.readings):

@@ -20,7 +20,7 @@ from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.either_machine import or_of_stage
 from spm_pin.kinematics.kernels import RESOLUTION
 from spm_pin.kinematics.stage_displacement import read_heights
-from spm_pin.machine import Configuration, LegLimits, Manipulator, Stage, StageConfiguration
+from spm_pin.machine import Configuration, LegLimits, Manipulator, Stage
 from spm_pin.machine.configuration import Condition, check_condition
 from spm_pin.machine.manipulator import check_manipulator
 from spm_pin.support.arguments import (
@@ -326,7 +326,7 @@ def _with_condition(
 class OrientationWorkspace:
     """Orientations that can be reached at one position, or by a stage at one height; arrays over the n states found."""
 
-    states: Configuration | StageConfiguration
+    states: Configuration
     """States with o at the position, uniform in the coordinates of the lower stage, shape (n,)."""
     weights: FloatArray
     """Volume of the orientations that each state stands for, shape (n,); they add up to `volume.value`."""

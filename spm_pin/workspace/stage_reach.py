@@ -25,9 +25,8 @@ from spm_pin.kinematics.stage_displacement import (
     poses,
     read_heights,
 )
-from spm_pin.machine.configuration import Condition, check_condition
+from spm_pin.machine.configuration import Condition, Configuration, check_condition
 from spm_pin.machine.stage import Stage
-from spm_pin.machine.stage_configuration import StageConfiguration
 from spm_pin.support.arguments import BoolArray, FloatArray, check_instance, whole_number
 
 _STEP = math.radians(0.5)
@@ -155,7 +154,7 @@ def home_height(stage: Stage) -> float:
     return height
 
 
-def _middle_state(stage: Stage) -> StageConfiguration:
+def _middle_state(stage: Stage) -> Configuration:
     """Return the physical state with readings in the middle of their limits, or usual readings without limits."""
     limits = stage.reading_limits
     is_limited = np.isfinite(limits).all(axis=0)
@@ -235,7 +234,7 @@ def best_height(stage: Stage, *, directions: int = 72, where: Condition | None =
     return best, tilt
 
 
-def nearest_tilt(stage: Stage, height: float, target: FloatArray, where: Condition | None = None) -> StageConfiguration:
+def nearest_tilt(stage: Stage, height: float, target: FloatArray, where: Condition | None = None) -> Configuration:
     """Return the physical state within the limits whose normal is nearest to a `target` (3,) at a height.
 
     See `spm_pin.workspace.nearest_reachable_pose`.
@@ -270,7 +269,7 @@ def nearest_tilt(stage: Stage, height: float, target: FloatArray, where: Conditi
     return inverse_physical(stage, level, normal=normals[best])
 
 
-def _nearest_of_all(stage: Stage, height: float, target: FloatArray, where: Condition | None) -> StageConfiguration:
+def _nearest_of_all(stage: Stage, height: float, target: FloatArray, where: Condition | None) -> Configuration:
     """Return the state at a height that counts whose normal is nearest to the target, even if level ones do not count.
 
     Normals are tried along great circles from the target.
@@ -303,7 +302,7 @@ def _nearest_of_all(stage: Stage, height: float, target: FloatArray, where: Cond
     return nothing
 
 
-def _counts(state: StageConfiguration, where: Condition | None = None) -> BoolArray:
+def _counts(state: Configuration, where: Condition | None = None) -> BoolArray:
     """Return which states are physical, within the limits, and satisfy a condition."""
     good = np.asarray(state.exists & (state.limit_excess == 0.0).all(axis=-1))
     if where is not None:

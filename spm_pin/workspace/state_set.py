@@ -20,8 +20,7 @@ from spm_pin.formulas.stages import ANY_ASPECT, HOME_ASPECT
 from spm_pin.kinematics.batches import run_kernel
 from spm_pin.kinematics.forward_displacement import forward_physical, states_of_stages
 from spm_pin.kinematics.inverse_displacement import inverse_displacement
-from spm_pin.machine import Configuration, LegLimits, Machine, Manipulator, StageConfiguration
-from spm_pin.machine.batched import Batched
+from spm_pin.machine import Configuration, LegLimits, Machine, Manipulator
 from spm_pin.machine.branch_of_state import FAMILIES, family, stage_coordinates
 from spm_pin.machine.configuration import Condition, check_condition
 from spm_pin.machine.machine import check_machine
@@ -184,7 +183,7 @@ class StateSet:
         stages = range(len(self.aspects))
         return np.concatenate([self.stages(k, coordinates[:, k]).readings for k in stages], axis=-1)
 
-    def coordinates(self, states: Batched) -> FloatArray:
+    def coordinates(self, states: Configuration) -> FloatArray:
         """Return the coordinates (N, stages, 3) of states (N,); NaN in other families."""
         return stage_coordinates(states, self.family) / [1.0, 1.0, self.radius]
 
@@ -192,7 +191,7 @@ class StateSet:
         """Return the states (N,) at coordinates (N, stages, 3), with their readings (N, 6) if these are known."""
         if len(self.aspects) == 1:
             stage = self.stages(0, coordinates[:, 0])
-            return StageConfiguration.from_arrays(self.machine, stage.rotation, stage.centre, stage.readings)
+            return Configuration.from_arrays(self.machine, stage.rotation, stage.centre, stage.readings)
         lower, upper, rotation = self._both(coordinates)
         translation = lower.centre - (rotation @ upper.centre[..., None])[..., 0]
         balls = self.legs[0, :, 6:9] @ lower.rotation.mT + lower.centre[:, None]
@@ -504,7 +503,7 @@ def sample_reachable(
 
     Returns
     -------
-    Configuration or StageConfiguration
+    Configuration
         Of shape (count,).
 
     Notes

@@ -17,14 +17,14 @@ LIMITS = np.array([[-3.0, -4.0, -5.0], [6.0, 5.0, 7.0]])
 LOAD = np.array([0.5, -0.2, -3.0, 0.02, -0.03, 0.01])
 
 
-def states_of(machine: str) -> spm.machine.StageConfiguration:
+def states_of(machine: str) -> spm.Configuration:
     stage, height = stage_and_height(machine)
     states = existing_states(stage, height, 40)
     singular = spm.singularities(states)
     return states[(singular.forward > 0.1) & (singular.leg.min(axis=-1) > 0.2)][:6]
 
 
-def extent(state: spm.machine.StageConfiguration, direction: np.ndarray, axial: float) -> float:
+def extent(state: spm.Configuration, direction: np.ndarray, axial: float) -> float:
     """Return the largest multiple of a wrench that efforts and axial forces balance, LOAD besides; inf without end."""
     matrix = np.column_stack([equilibrium(state), direction])
     scale = np.abs(matrix).max(axis=-1)
@@ -57,12 +57,12 @@ def test_reactions_are_what_the_joints_carry(machine: str) -> None:
     assert (sizes <= forces * 1.02 + 1e-9).all()
 
 
-def after(states: spm.machine.StageConfiguration, twists: np.ndarray) -> spm.machine.StageConfiguration:
+def after(states: spm.Configuration, twists: np.ndarray) -> spm.Configuration:
     """Return the states displaced and turned by twists (N, 6) times a short time."""
     poses = states.pose.as_matrix().copy()
     poses[:, :3, :3] = Rotation.from_rotvec(STEP * twists[:, 3:]).as_matrix() @ poses[:, :3, :3]
     poses[:, :3, 3] += STEP * twists[:, :3]
-    return spm.machine.StageConfiguration(states.stage, poses)
+    return spm.Configuration(states.machine, poses)
 
 
 @pytest.mark.parametrize("machine", MACHINES)

@@ -72,7 +72,7 @@ class WithoutParasiticMotion(ClosedForm):
 
     name: str = "without parasitic motion"
 
-    def leg_forces(self, configuration: spm.StageConfiguration, wrench: np.ndarray) -> np.ndarray:
+    def leg_forces(self, configuration: spm.Configuration, wrench: np.ndarray) -> np.ndarray:
         transposed = spm.inverse_jacobian(configuration).mT
         return -np.linalg.solve(transposed, wrench[..., 2:5, None])[..., 0]
 

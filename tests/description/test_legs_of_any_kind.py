@@ -41,7 +41,7 @@ STAGES = {
 }
 
 
-def state_of(machine: spm.Manipulator | spm.Stage) -> spm.Configuration | spm.machine.StageConfiguration:
+def state_of(machine: spm.Manipulator | spm.Stage) -> spm.Configuration:
     return spm.forward_physical(machine, [0.2, 0.1, 0.3]) if isinstance(machine, spm.Stage) else states(machine)[0]
 
 

@@ -47,7 +47,7 @@ MACHINES |= {f"{name} as built": (name, True) for name in KINDS}
 BALANCER = DRAWN["RRS"]
 
 
-def stage_and_states(machine: str, count: int = 6) -> tuple[spm.Stage, spm.machine.StageConfiguration]:
+def stage_and_states(machine: str, count: int = 6) -> tuple[spm.Stage, spm.Configuration]:
     """Return one of `MACHINES`, and states of it that lean by up to 0.2 rad."""
     name, built = MACHINES[machine]
     stage, height = DRAWN[name], -0.4 if "below" in name else HEIGHTS.get(name, 0.5)
@@ -60,7 +60,7 @@ def stage_and_states(machine: str, count: int = 6) -> tuple[spm.Stage, spm.machi
     return stage, states
 
 
-def is_closed(frames: dict[str, Array], state: spm.machine.StageConfiguration, tolerance: float = 1e-13) -> None:
+def is_closed(frames: dict[str, Array], state: spm.Configuration, tolerance: float = 1e-13) -> None:
     """The platform is in the pose of the closed form, whose balls are where the legs end."""
     np.testing.assert_allclose(frames["platform"], state.pose.as_matrix(), atol=tolerance)
     for leg in range(3):

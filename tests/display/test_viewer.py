@@ -382,7 +382,7 @@ def test_a_stage_dragged_out_of_reach_shows_the_nearest_tilt():
     np.testing.assert_allclose(state.shown.readings, nearest.readings, atol=1e-12)
     np.testing.assert_allclose(state.target.rotation.as_matrix()[:, 2], target.rotation.as_matrix()[:, 2], atol=1e-12)
     assert not state.shown.limit_excess.any()
-    apart = np.linalg.norm(spm.machine.StageConfiguration(BALANCER, state.target).balls - nearest.balls, axis=-1)
+    apart = np.linalg.norm(spm.Configuration(BALANCER, state.target).balls - nearest.balls, axis=-1)
     assert state.distance == pytest.approx(np.sqrt((apart**2).mean()))
     assert state.warnings
     model.hold_limits = False

@@ -116,7 +116,7 @@ def per_reading(machine: Machine) -> np.ndarray:
 def axes(state: Any) -> np.ndarray:
     """Return Z [mm] and A B [degrees] of a stage, X Y Z and A B C of a robot."""
     rotation, place = state.pose.rotation, 1e3 * state.translation
-    if isinstance(state, spm.machine.StageConfiguration):
+    if state.machine.is_stage:
         return np.concatenate([place[..., 2:], rotation.as_euler("XYZ", degrees=True)[..., :2]], axis=-1)
     return np.concatenate([place, rotation.as_euler("xyz", degrees=True)], axis=-1)
 

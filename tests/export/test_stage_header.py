@@ -58,7 +58,7 @@ def rounded(array: np.ndarray, dtype: type) -> np.ndarray:
     return array.astype(dtype).astype(np.float64)
 
 
-def rows_of(states: spm.machine.StageConfiguration) -> np.ndarray:
+def rows_of(states: spm.Configuration) -> np.ndarray:
     parts = states.rotation.reshape(*states.shape, 9), states.translation, states.readings
     return np.concatenate(parts, axis=-1)
 
@@ -70,8 +70,8 @@ def errors(stage: spm.Stage, rows: np.ndarray, expected: np.ndarray) -> np.ndarr
     return (np.abs(rows - expected) / scale).max(axis=-1)
 
 
-def least_slopes(states: spm.machine.StageConfiguration) -> np.ndarray:
-    legs = states.stage.legs
+def least_slopes(states: spm.Configuration) -> np.ndarray:
+    legs = states.machine.legs
     return np.nan_to_num(legs.slopes(states.places, states.readings) * legs.slope_signs / legs.largest_slopes).min(
         axis=-1
     )
@@ -105,12 +105,12 @@ def test_the_inverse_is_that_of_python_over_the_reach_and_says_where_it_ends(
     assert set(status[~expected.exists]) <= {STATUS["UNREACHABLE"], STATUS["SINGULAR"]}
 
 
-def amplification(states: spm.machine.StageConfiguration) -> np.ndarray:
+def amplification(states: spm.Configuration) -> np.ndarray:
     """Return how far balls move by errors of their places, by finite differences of all three distances.
 
     Columns are the derivatives of half the squared sides by turns of the rods about the ends of their circles' axes.
     """
-    legs, balls = states.stage.legs, states.balls
+    legs, balls = states.machine.legs, states.balls
     centres, radii = legs.circles(states.readings)
     arms = np.cross(legs.axes, balls - centres)
     step, columns = 1e-6, []

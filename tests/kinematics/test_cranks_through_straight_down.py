@@ -29,7 +29,7 @@ LOWERED, STRAIGHT_DOWN, RAISED = 0.065, 0.072, 0.12
 """Heights of the plate [m]: with cranks beyond straight down, and before it."""
 
 
-def states_of(stage: Stage, count: int = 400) -> spm.machine.StageConfiguration:
+def states_of(stage: Stage, count: int = 400) -> spm.Configuration:
     """Return states whose readings differ by little from one value anywhere within the limits."""
     rng = np.random.default_rng(8)
     about = rng.uniform(LOW + 0.1, HIGH - 0.1, (count, 1)) + rng.uniform(-0.1, 0.1, (count, 3))
@@ -56,7 +56,7 @@ def test_the_inverse_of_a_state_has_its_readings(stage: Stage) -> None:
     found = spm.inverse_physical(stage, states.height, normal=states.normal)
     np.testing.assert_allclose(found.readings, states.readings, rtol=0.0, atol=1e-9)
     assert (found.limit_excess == 0.0).all()
-    posed = spm.machine.StageConfiguration(stage, states.pose)
+    posed = spm.Configuration(stage, states.pose)
     np.testing.assert_allclose(posed.readings, states.readings, rtol=0.0, atol=1e-9)
 
 

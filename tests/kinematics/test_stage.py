@@ -22,11 +22,11 @@ STAGES = {
 }
 
 
-def solved(lengths: np.ndarray, hips: float, d: float) -> spm.SolutionSet[spm.machine.StageConfiguration]:
+def solved(lengths: np.ndarray, hips: float, d: float) -> spm.SolutionSet:
     return spm.forward_displacement(spm.Stage(hips, d / np.sqrt(3.0)), lengths)
 
 
-def mean_radii(modes: spm.SolutionSet[spm.machine.StageConfiguration]) -> np.ndarray:
+def mean_radii(modes: spm.SolutionSet) -> np.ndarray:
     """Return the mean radius of the balls, (..., 2, 4, 2): of modes T and F, in order, on both sheets."""
     radii = modes.configurations.places[..., 0] + modes.machine.base_radius
     return radii.mean(axis=-1).reshape(*modes.shape, 2, 4, 2)

@@ -16,7 +16,7 @@ from modes_oracle import real_modes
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import spm_pin as spm
-from spm_pin.machine import Stage, StageConfiguration
+from spm_pin.machine import Configuration, Stage
 
 BALANCER = STAGES["RRS"]
 
@@ -60,7 +60,7 @@ def test_a_stage_as_drawn_shifts_as_the_literature_says() -> None:
     np.testing.assert_allclose(f.torsion, np.pi, atol=1e-15)
 
 
-def fifty_digits(stage: Stage, normal: np.ndarray, height: float, state: StageConfiguration) -> np.ndarray:
+def fifty_digits(stage: Stage, normal: np.ndarray, height: float, state: Configuration) -> np.ndarray:
     """Return the balls that Newton's method of mpmath finds: a unit quaternion, x and y from planes and normal."""
 
     def place(q: list[mpmath.mpf], p: np.ndarray) -> mpmath.matrix:
@@ -155,7 +155,7 @@ def test_what_the_physical_inverse_returns_is_in_the_set_of_both(machine: str) -
     assert not both.is_physical[:, 1].any()
     # The readings are those of the pose, by the legs' own formulas.
     exists = both.exists
-    fresh = StageConfiguration(stage, both.configurations[exists].pose)
+    fresh = Configuration(stage, both.configurations[exists].pose)
     np.testing.assert_allclose(fresh.readings, both.readings[exists], atol=1e-13)
     np.testing.assert_allclose(fresh.torsion, both.configurations[exists].torsion, atol=1e-14)
 

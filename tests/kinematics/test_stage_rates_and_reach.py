@@ -18,7 +18,7 @@ STRETCHED = Stage(0.6, 0.5, spm.RRS(crank=0.3, rod=0.4))
 BALANCER = Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), limits=(-0.6, 1.2))
 
 
-def states(machine: str, count: int = 12) -> spm.machine.StageConfiguration:
+def states(machine: str, count: int = 12) -> spm.Configuration:
     stage, height = stage_and_height(machine)
     found = existing_states(stage, height, 3 * count)
     regular = (np.abs(found.slopes) > 0.2 * stage.legs.largest_slopes).all(axis=-1)
@@ -33,7 +33,7 @@ def test_the_twists_are_differences_of_poses(machine: str) -> None:
 
         def central(h: float, leg: int = leg) -> np.ndarray:
             steps = h * np.eye(3)[leg], -h * np.eye(3)[leg]
-            a, b = (spm.forward_physical(found.stage, found.readings + step, found) for step in steps)
+            a, b = (spm.forward_physical(found.machine, found.readings + step, found) for step in steps)
             angular = (a.pose.rotation * b.pose.rotation.inv()).as_rotvec()
             return np.concatenate([a.translation - b.translation, angular], axis=-1) / (2.0 * h)
 
@@ -62,9 +62,9 @@ def test_what_the_joints_carry_is_in_equilibrium(machine: str) -> None:
     np.testing.assert_allclose(moments, np.tile(-wrench[3:], (len(found), 1)), atol=1e-11)
     forces = spm.leg_forces(found, wrench)
     np.testing.assert_allclose(loads.efforts, forces, atol=1e-11)
-    if found.stage.unit == "rad":
+    if found.machine.unit == "rad":
         # The crank's actuator balances the moment of the ball's force about its axis: a turn that leads outwards.
-        about = (loads.moments * np.cross(*found.stage.legs.planes)).sum(axis=-1)
+        about = (loads.moments * np.cross(*found.machine.legs.planes)).sum(axis=-1)
         np.testing.assert_allclose(np.abs(about), np.abs(forces), atol=1e-11)
 
 

@@ -16,7 +16,7 @@ from spm_pin.kinematics import MOTION, compliance, principal_stiffness
 LEGS, STRUCTURE = np.array([1.0, 2.0, 3.0]) * 1e6, np.array([3.0, 1.0, 2.0]) * 4e7
 
 
-def state_of(machine: str) -> spm.machine.StageConfiguration:
+def state_of(machine: str) -> spm.Configuration:
     """Return a regular state of a stage, tilted by some degrees."""
     stage, height = stage_and_height(machine)
     states = existing_states(stage, height, 30)
@@ -24,17 +24,17 @@ def state_of(machine: str) -> spm.machine.StageConfiguration:
     return states[int(np.argmax(np.minimum(singular.forward, singular.leg.min(axis=-1)) * (states.tilt > 0.1)))]
 
 
-def shifted_along_axes(state: spm.machine.StageConfiguration, shifts: npt.ArrayLike) -> spm.machine.StageConfiguration:
+def shifted_along_axes(state: spm.Configuration, shifts: npt.ArrayLike) -> spm.Configuration:
     """Return the state with the same readings of a stage whose pivots are moved along their axes [m]."""
-    legs = state.stage.legs
+    legs = state.machine.legs
     pivots = legs.pivots + legs.axes * np.asarray(shifts)[:, None]
     moved = spm.machine.Legs(legs.axes, pivots, legs.balls, legs.offsets, legs.kinds)
-    stage = spm.Stage(state.stage.base_radius, state.stage.platform_radius, moved)
+    stage = spm.Stage(state.machine.base_radius, state.machine.platform_radius, moved)
     near = spm.inverse_physical(stage, state.height, normal=state.normal)
     return spm.forward_physical(stage, state.readings, near=near)
 
 
-def displacements(state: spm.machine.StageConfiguration, structure: bool) -> np.ndarray:
+def displacements(state: spm.Configuration, structure: bool) -> np.ndarray:
     """Return the derivatives of the pose by readings, or by shifts of legs along their axes, (6, 3)."""
 
     def central(h: float) -> np.ndarray:
@@ -44,7 +44,7 @@ def displacements(state: spm.machine.StageConfiguration, structure: bool) -> np.
                 after, before = (shifted_along_axes(state, x * unit) for x in (h, -h))
             else:
                 ends = (state.readings + x * unit for x in (h, -h))
-                after, before = (spm.forward_physical(state.stage, x, near=state) for x in ends)
+                after, before = (spm.forward_physical(state.machine, x, near=state) for x in ends)
             turned = Rotation.from_matrix(after.rotation @ before.rotation.T).as_rotvec()
             columns.append(np.concatenate([after.translation - before.translation, turned]) / (2.0 * h))
         return np.stack(columns, axis=-1)
@@ -74,10 +74,10 @@ def test_the_stiffness_in_tilt_and_height_is_the_second_derivative_of_the_spring
 
     def energy(motion: np.ndarray) -> float:
         normal = Rotation.from_rotvec([*motion[1:], 0.0]).apply([0.0, 0.0, 1.0])
-        moved = spm.inverse_physical(state.stage, state.height + motion[0], normal=normal)
+        moved = spm.inverse_physical(state.machine, state.height + motion[0], normal=normal)
         return float(0.5 * (LEGS * (moved.readings - state.readings) ** 2).sum())
 
-    scales = np.array([1.0, 1.0 / state.stage.platform_radius, 1.0 / state.stage.platform_radius])
+    scales = np.array([1.0, 1.0 / state.machine.platform_radius, 1.0 / state.machine.platform_radius])
 
     def hessian(h: float) -> np.ndarray:
         steps = np.diag(h * scales)

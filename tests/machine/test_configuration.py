@@ -11,8 +11,7 @@ from problems import in_leg_space
 
 import spm_pin as spm
 from spm_pin.errors import SelectionError
-from spm_pin.machine.batched import stacked
-from spm_pin.machine.configuration import check_configuration
+from spm_pin.machine.configuration import check_configuration, stacked
 
 POSE = spm.pose([0.6889, 0.4963, 2.253], xyx=np.deg2rad([-11.08, 32.97, -12.88]))
 

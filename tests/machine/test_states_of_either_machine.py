@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import spm_pin as spm
-from spm_pin.machine.stage_configuration import StageConfiguration
+from spm_pin.machine.configuration import Configuration
 
 LEGS = {"RPS": spm.RPS(), "PRS": spm.PRS(rod=0.4), "RRS": spm.RRS(crank=0.15, rod=0.35)}
 OVER = RigidTransform.from_rotation(Rotation.from_euler("y", 180.0, degrees=True))
@@ -24,7 +24,7 @@ def test_legs_are_where_those_of_the_two_stages_are(lower: str, upper: str) -> N
     state = spm.Configuration(machine, pose, poses[0].apply(below.legs.balls))
     assert state.is_at_home
     assert state.closure_residual < 1e-12
-    halves = StageConfiguration(below, poses[0]), StageConfiguration(above, poses[1])
+    halves = Configuration(below, poses[0]), Configuration(above, poses[1])
     lower_legs, upper_legs = slice(3), slice(5, 2, -1)
     place = pose * OVER
     for name in ("balls", "leg_bases", "circle_centres"):

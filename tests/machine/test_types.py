@@ -8,8 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 import spm_pin as spm
-from spm_pin.machine import SolutionSet, Status
-from spm_pin.machine.configuration import Configuration
+from spm_pin.machine import Configuration, SolutionSet, Status
 
 
 def test_items_of_a_set_have_types() -> None:

@@ -11,12 +11,12 @@ from error_fields import with_fields
 
 import spm_pin as spm
 from spm_pin.errors import ArgumentError, GeometryError, UnreachableError
-from spm_pin.machine import StageConfiguration
+from spm_pin.machine import Configuration
 from spm_pin.motion import LegPath, MotionPlan
 from spm_pin.workspace import JointLimits
 
 
-def two_states(stage: spm.Stage, height: float) -> tuple[StageConfiguration, StageConfiguration]:
+def two_states(stage: spm.Stage, height: float) -> tuple[Configuration]:
     return (
         spm.inverse_physical(stage, height, tilt=0.1, azimuth=0.5),
         spm.inverse_physical(stage, 1.02 * height, tilt=0.15, azimuth=-2.0),

@@ -77,7 +77,7 @@ def test_a_path_beyond_the_limits_is_refused() -> None:
 def test_cranks_and_rods_in_line_are_an_inverse_singularity() -> None:
     stage = spm.Stage(0.09, 0.09, spm.RRS(crank=0.05, rod=0.11))
     chain = spm.ClosedChain.from_urdf(machine=stage)
-    stretched = spm.machine.StageConfiguration(stage, spm.pose([0.0, 0.0, 0.16], xyx=[0.0, 0.0, 0.0]))
+    stretched = spm.Configuration(stage, spm.pose([0.0, 0.0, 0.16], xyx=[0.0, 0.0, 0.0]))
     state = chain.state(chain.joint_values(stretched))
     for call in (state.inverse_jacobian, state.platform_dynamics, lambda: state.joint_velocities(np.ones(3))):
         with pytest.raises(SingularConfigurationError, check=with_fields(kind="inverse")):

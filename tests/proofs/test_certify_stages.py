@@ -70,7 +70,7 @@ def test_limits_around_a_singularity_do_not_certify() -> None:
     certificate = spm.certify(tripod, (0.3, 1.5), boxes=100_000)
     assert certificate.verdict == "not proved"
     witness = certificate.witness
-    assert isinstance(witness, spm.machine.StageConfiguration)
+    assert isinstance(witness, spm.Configuration)
     assert abs(forward_determinants(witness)) < 1e-9
     assert ((witness.readings >= 0.3) & (witness.readings <= 1.5)).all()
     assert spm.singularities(witness, tolerance=1e-6).kind & spm.kinematics.SingularityKind.FORWARD

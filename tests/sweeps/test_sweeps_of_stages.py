@@ -51,7 +51,7 @@ def points_of(machine: str, space: str, count: int = 60) -> Points:
 
 def efforts_of(state: Any) -> np.ndarray:
     """Return the efforts (legs, 6) that hold unit wrenches: of a stage from forces at the balls in equilibrium."""
-    if isinstance(state, spm.Configuration):
+    if not state.machine.is_stage:
         return -np.linalg.inv(spm.inverse_jacobian(state).T)
     return -np.linalg.inv(equilibrium(state))[:3]
 

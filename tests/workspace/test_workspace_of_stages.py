@@ -157,7 +157,7 @@ def test_what_a_stage_does_not_have_is_refused_with_the_name_of_what_answers() -
 def test_the_reach_ends_where_a_condition_does() -> None:
     joints = JointLimits(ball_y=(-0.25, 0.25))
 
-    def where(states: spm.machine.StageConfiguration) -> np.ndarray:
+    def where(states: spm.Configuration) -> np.ndarray:
         return np.asarray(joints.angle_margin(states) >= 0.0)
 
     free = spm.workspace.reach(BALANCER, 0.12, directions=12)

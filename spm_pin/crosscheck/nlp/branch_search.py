@@ -25,7 +25,7 @@ from spm_pin.crosscheck.ball_states import states_with_balls
 from spm_pin.crosscheck.nlp import loop_equations
 from spm_pin.crosscheck.nlp.batched_newton import LoopEquations, RootCertificate, certify_root, newton
 from spm_pin.errors import ArgumentError
-from spm_pin.machine import PoseLike, SolutionSet, StageConfiguration, Status, as_rigid_transform
+from spm_pin.machine import PoseLike, SolutionSet, Status, as_rigid_transform
 from spm_pin.machine.machine import Machine, check_machine
 from spm_pin.support.arguments import (
     BoolArray,
@@ -63,7 +63,7 @@ _UNUSABLE = ("Invalid_Option", "Invalid_Problem_Definition", "Insufficient_Memor
 class Search:
     """Branches found by a multi-start, and what is proved about them; arrays over the batch of poses (...)."""
 
-    solutions: SolutionSet | SolutionSet[StageConfiguration]
+    solutions: SolutionSet
     """The branches: of a nominal manipulator under the canonical labels; otherwise a set, numbered from 1.
     `Status.UNREACHABLE` where none was found and `infeasibility` is not rounding; `Status.UNSOLVED` where the search
     failed."""
@@ -272,7 +272,7 @@ def _collect(machine: Any, transform: Any, runs: list[Multistart]) -> Search:
     by_place[~np.isfinite(readings).all(axis=-1)] = np.nan
     is_lost = (status == Status.OK) & np.isnan(by_place[..., 0, 0]).all(axis=-1)
     status = np.where(is_lost, Status.UNREACHABLE, status)
-    ordered: SolutionSet | SolutionSet[StageConfiguration]
+    ordered: SolutionSet
     if machine.is_nominal and not machine.is_stage:
         ordered = SolutionSet.from_unordered(machine, transform, by_place, status != Status.UNSOLVED)
         status = np.where(status == Status.DEGENERATE, status, ordered.status)

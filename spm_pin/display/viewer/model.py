@@ -30,8 +30,7 @@ from spm_pin.kinematics import (
 from spm_pin.kinematics.path_following import existing_share, last_on_line
 from spm_pin.kinematics.random_states import random_states
 from spm_pin.kinematics.readings import read_readings
-from spm_pin.machine import FAMILIES, LEGS, Configuration, Manipulator, SolutionSet, Stage, StageConfiguration, Status
-from spm_pin.machine.batched import Batched
+from spm_pin.machine import FAMILIES, LEGS, Configuration, Manipulator, SolutionSet, Stage, Status
 from spm_pin.machine.branch_of_state import family
 from spm_pin.support.arguments import BoolArray, FloatArray, real_array
 from spm_pin.support.pose import inverse_command
@@ -366,7 +365,7 @@ class Measure(NamedTuple):
     condition: float | None
 
 
-def excess_warnings(shown: Configuration | StageConfiguration, forces: FloatArray | None) -> list[str]:
+def excess_warnings(shown: Configuration, forces: FloatArray | None) -> list[str]:
     """Return warnings if legs are beyond their limits, or cannot hold a load."""
     units = reading_units(shown.machine)
     excess = zip(shown.machine.legs.names, shown.limit_excess, units, strict=True)
@@ -430,9 +429,7 @@ def _sampled_poses(machine: Manipulator) -> tuple[RigidTransform, KDTree]:
     return states.pose, KDTree(states.platform_joints.reshape(-1, 9))
 
 
-def ranges_of_readings(
-    configuration: Configuration | StageConfiguration, solve: Callable[[FloatArray], Batched] | None
-) -> FloatArray:
+def ranges_of_readings(configuration: Configuration, solve: Callable[[FloatArray], Configuration] | None) -> FloatArray:
     """Return the ranges of either machine; `solve` finds physical states, None if `configuration` is not physical."""
     machine, now = configuration.machine, np.array(configuration.readings)
     longest, legs, limits = 3.0 * machine.size, machine.legs, machine.limits

@@ -27,7 +27,7 @@ from spm_pin.display.writing import to_json
 from spm_pin.errors import ArgumentError, SpmError, require_extra
 from spm_pin.kinematics import inverse_physical
 from spm_pin.kinematics.forward_displacement import starting_configuration
-from spm_pin.machine import Configuration, Manipulator, Stage, StageConfiguration
+from spm_pin.machine import Configuration, Machine, Manipulator, Stage
 from spm_pin.machine.configuration import check_configuration
 from spm_pin.support.arguments import Progress
 from spm_pin.workspace import home_height
@@ -49,7 +49,7 @@ class Viewer:
 
     Parameters
     ----------
-    start : Configuration, Manipulator, StageConfiguration or Stage, optional
+    start : Configuration, Manipulator or Stage, optional
         State shown at first: a single configuration that exists, for a stage a physical one; or the machine, in
         a regular configuration near its home. By default the paper's manipulator.
     host : str
@@ -70,7 +70,7 @@ class Viewer:
 
     def __init__(
         self,
-        start: Configuration | Manipulator | StageConfiguration | Stage | None = None,
+        start: Configuration | Manipulator | Stage | None = None,
         *,
         host: str = "127.0.0.1",
         port: int = 8080,
@@ -84,18 +84,13 @@ class Viewer:
         progress("robot", 0, 2)
         free = free_port(host, port)
         self.new_model: Callable[[], ViewerModel | StageModel]
-        self.start: Configuration | StageConfiguration
         self.demo, self.recording = None, recording
-        if isinstance(start, Stage | StageConfiguration):
+        self.start = _first_state(Manipulator.paper() if start is None else start)
+        if self.start.machine.is_stage:
             if recording is not None:
                 raise ArgumentError("recording", "no recording with a stage", recording)
-            self.start = _stage_start(start)
             self.new_model = partial(StageModel, self.start, machine_file)
         else:
-            if start is None or isinstance(start, Manipulator):
-                self.start = starting_configuration(start or Manipulator.paper())
-            else:
-                self.start = check_configuration(start, "start", single=True, existing=True)
             self.new_model = partial(ViewerModel, self.start, machine_file)
             if (not isinstance(start, Configuration) if demo is None else demo) and recording is None:
                 self.demo = demo_motion(self.start)
@@ -186,13 +181,16 @@ class Viewer:
         self.stop()
 
 
-def _stage_start(start: Stage | StageConfiguration) -> StageConfiguration:
-    """Return the initial state of a page of a stage."""
+def _first_state(start: Configuration | Machine) -> Configuration:
+    """Return the state shown at first: the one given, or one of a machine near its home."""
     if isinstance(start, Stage):
         return inverse_physical(start, home_height(start))
-    if start.shape or not start.is_at_home:
-        raise ArgumentError("start", "a single physical state of a stage", start)
-    return start
+    if isinstance(start, Manipulator):
+        return starting_configuration(start)
+    state = check_configuration(start, "start", single=True, existing=True)
+    if state.machine.is_stage and not state.is_at_home:
+        raise ArgumentError("start", "a physical state of a stage", state)
+    return state
 
 
 def free_port(host: str, port: int) -> int:
@@ -384,7 +382,7 @@ class Session:
         self.scene.clear_trail()
         self._place(self.viewer.start)
 
-    def _place(self, configuration: Configuration | StageConfiguration) -> None:
+    def _place(self, configuration: Configuration) -> None:
         self.model.place(configuration)
         self.show()
 

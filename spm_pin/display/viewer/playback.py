@@ -78,7 +78,7 @@ def read_recording(path: str | Path) -> Recording:
 class Playback:
     """A followed path, to be shown at any time."""
 
-    path: FollowedPath[Configuration]
+    path: FollowedPath
     """The solution followed along the recorded points."""
     times: FloatArray
     """Times of the recorded points (n,) [s]."""

@@ -17,7 +17,7 @@ from spm_pin.display.rendering import view_axes
 from spm_pin.display.viewer.model import SessionState, sampled_states
 from spm_pin.display.viewer.stage_model import StageState
 from spm_pin.errors import SpmError
-from spm_pin.machine import BRANCHES, Configuration, Manipulator, Stage, StageConfiguration
+from spm_pin.machine import BRANCHES, Configuration, Manipulator, Stage
 from spm_pin.support.arguments import FloatArray
 
 WARN, LOAD = (200, 16, 46), (122, 79, 181)
@@ -42,7 +42,7 @@ _TRAIL_STEP = 2e-3  # of the base radius
 _SHELL_RESOLUTION = 14  # coarse enough to be sent to a page
 
 
-def solid_placements(configuration: Configuration | StageConfiguration) -> tuple[FloatArray, FloatArray, FloatArray]:
+def solid_placements(configuration: Configuration) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the placements of the solids of `visual_parts` in configurations (...).
 
     The positions of their origins in {B} [m], shape (..., n, 3), their quaternions, scalar first, shape (..., n, 4),
@@ -287,7 +287,7 @@ def _free_place(joints: FloatArray, others: list[FloatArray]) -> FloatArray:
     return np.asarray(places[int(np.min(gaps, axis=0).argmax()) if gaps else 0])
 
 
-def _beside_legs(state: Configuration | StageConfiguration, distance: float) -> FloatArray:
+def _beside_legs(state: Configuration, distance: float) -> FloatArray:
     """Return points (legs, 3) beside the middles of the legs, away from the axis of their stage."""
     ends = np.array([np.zeros(3), state.middle_pose.translation, state.translation])
     centres = (0.5 * (ends[:-1] + ends[1:])).repeat(3, axis=0)[: len(state.balls)]
@@ -304,7 +304,7 @@ def _onto(point: FloatArray, vector: FloatArray, length: float) -> FloatArray:
     return np.stack([point, point + length * _unit(vector)])
 
 
-def robot_points(configuration: Configuration | StageConfiguration, margin: float) -> FloatArray:
+def robot_points(configuration: Configuration, margin: float) -> FloatArray:
     """Return corners (n, 3) of boxes of half a side `margin` around the joints and o [m]; a picture shows them all."""
     state = configuration
     joints = [state.leg_bases, state.circle_centres, state.balls, state.translation[None]]

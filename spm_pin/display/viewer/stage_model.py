@@ -27,7 +27,7 @@ from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.path_following import existing_share
 from spm_pin.kinematics.readings import read_readings
 from spm_pin.kinematics.stage_displacement import normals_of_request
-from spm_pin.machine import Stage, StageConfiguration
+from spm_pin.machine import Configuration, Stage
 from spm_pin.support.arguments import FloatArray
 from spm_pin.workspace import height_range, nearest_reachable_pose, reach
 
@@ -84,9 +84,9 @@ class StageModel(Model):
     hint = "Roll and pitch of the normal alone, torsion aside, or the direction in which the platform is lowest"
     values_name = "Readings"
 
-    def __init__(self, start: StageConfiguration, file: Path | None = None) -> None:
+    def __init__(self, start: Configuration, file: Path | None = None) -> None:
         super().__init__(file)
-        self._stage = start.stage
+        self._stage = start.machine
         self.state = StageState(start.pose, start, 0.0, np.zeros(6))
 
     def drag(self, target: RigidTransform) -> StageState:
@@ -98,10 +98,10 @@ class StageModel(Model):
             return self._show(wanted)
         free = stage if held else Stage(stage.base_radius, stage.platform_radius, stage.legs)
         shown = nearest_reachable_pose(free, height, normal=normal).configuration
-        shown = StageConfiguration(stage, shown.pose) if shown.exists else self.state.shown
+        shown = Configuration(stage, shown.pose) if shown.exists else self.state.shown
         rotation, _ = Rotation.align_vectors(normal, shown.normal)
         pose = RigidTransform.from_components([*shown.shift, height], rotation * shown.pose.rotation)
-        distance = float(np.linalg.norm(StageConfiguration(stage, pose).balls - shown.balls)) / math.sqrt(3.0)
+        distance = float(np.linalg.norm(Configuration(stage, pose).balls - shown.balls)) / math.sqrt(3.0)
         why = wanted.missing_reason or "beyond the leg limits"
         away = f"{fixed(1e3 * distance, 1)} mm away" if distance > 1e-4 else "less than 0.1 mm away"
         return self._show(shown, pose, distance, [f"Out of reach: {why}. Shown: the nearest reachable tilt, {away}."])
@@ -110,7 +110,7 @@ class StageModel(Model):
         """Move to encoder readings (3,) as far as the platform's mode exists."""
         wanted = read_readings(self._stage, readings)
 
-        def solve(readings: FloatArray) -> StageConfiguration:
+        def solve(readings: FloatArray) -> Configuration:
             return forward_physical(self._stage, readings)
 
         before, share, shown = self.state.shown.readings, 1.0, solve(wanted)
@@ -119,13 +119,13 @@ class StageModel(Model):
             shown = solve(before + share * (wanted - before)) if share else self.state.shown
         return self._show(shown, remarks=readings_remarks(share))
 
-    def place(self, configuration: StageConfiguration) -> StageState:
+    def place(self, configuration: Configuration) -> StageState:
         """Show a configuration."""
         return self._show(configuration)
 
     def _show(
         self,
-        shown: StageConfiguration,
+        shown: Configuration,
         target: RigidTransform | None = None,
         distance: float = 0.0,
         remarks: Sequence[str] = (),
@@ -136,7 +136,7 @@ class StageModel(Model):
 
     def coordinates(self, pose: RigidTransform, convention: str) -> FloatArray:
         """Return the values of the pose's sliders."""
-        return _coordinates(StageConfiguration(self._stage, pose), convention)
+        return _coordinates(Configuration(self._stage, pose), convention)
 
     def pose_of(self, coordinates: FloatArray, convention: str) -> RigidTransform:
         """Return a pose with the normal and the height of such values."""
@@ -193,7 +193,7 @@ class StageModel(Model):
         }
 
 
-def _coordinates(state: StageConfiguration, convention: str) -> FloatArray:
+def _coordinates(state: Configuration, convention: str) -> FloatArray:
     """Return the height [mm] and the two angles [degrees] of a state that the convention names."""
     angles = [np.degrees(getattr(state, name)) for name in convention.split(", ")[1:]]
     return np.array([1e3 * state.height, *angles]) + 0.0
