@@ -251,8 +251,9 @@ class ClosedChain:
         near : array_like, shape (nq,) or (..., nq)
             Closed configurations to start from, as in `forward`.
         rows : sequence of int
-            Components of the pose to be reached: 0 to 2 the position, 3 to 5 the rotation vector from the frame's
-            orientation to the one given, in the axes of the world.
+            Components of the pose to be reached: 0 to 2 the position in the axes of the world, 3 to 5 the rotation
+            vector to the orientation given, in the axes of the target. Without 5 the frame's z axis is the target's,
+            and its spin is free.
 
         Raises
         ------
@@ -270,9 +271,8 @@ class ClosedChain:
     def compile(self) -> None:
         """Compile paths, batches and forward dynamics, once for all robots and sessions: half a minute, later a second.
 
-        Batches of `forward` and `inverse`, and large ones of `forward_dynamics`, do so by themselves. A control loop
-        calls this before it starts: its single calls never wait for the compiler, and before compiling take some
-        milliseconds instead of some ten microseconds.
+        `forward` and `inverse` do so by themselves after some hundreds of steps in a process, and `forward_dynamics`
+        for large batches. A control loop calls this before it starts, so that no call waits for the compiler.
         """
         self._follower(None, ()).compile()
         self.compile_dynamics()
@@ -333,14 +333,14 @@ class ClosedChain:
     ) -> FloatArray:
         starts = self.close() if near is None else self._read_q(near, "near")
         if starts.ndim == 1 and targets.ndim == axes:
-            return follower.run(starts, targets[None], True).reshape(-1)
+            return follower.run(starts, targets[None], True, ()).reshape(-1)
         batch, is_path = targets.shape[: targets.ndim - axes], starts.ndim == 1
         if not is_path:
             batch = broadcastable(argument, batch, "near", starts.shape[:-1])
             starts = np.broadcast_to(starts, (*batch, self.model.nq)).reshape(math.prod(batch), self.model.nq)
         shape = targets.shape[targets.ndim - axes :]
         targets = np.broadcast_to(targets, (*batch, *shape)).reshape(math.prod(batch), *shape)
-        return follower.run(starts, targets, is_path).reshape(*batch, self.model.nq)
+        return follower.run(starts, targets, is_path, batch).reshape(*batch, self.model.nq)
 
     def joint_of_velocity(self, index: int) -> str:
         """Return the name of the joint that an element of v belongs to."""

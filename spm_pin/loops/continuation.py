@@ -52,8 +52,9 @@ from spm_pin.loops.kernel import Kernel, compiled_as, jit
 from spm_pin.loops.tree_kernel import aim, linearised, moved, residual
 from spm_pin.support.arguments import FloatArray
 
-DONE, SINGULAR_START, NO_FURTHER, OPEN_START = 0, 1, 2, 3
-"""Status of a path: target reached, Jacobian singular at the start, end before the target, loops open at the start."""
+DONE, SINGULAR_START, NO_FURTHER, OPEN_START, UNFINISHED = range(5)
+"""Status of a path: target reached, Jacobian singular at the start, end before the target, loops open at the start, and
+no steps left."""
 LONGEST = 1.0
 """Largest step tried in any joint, dimensionless: in rad, or in units of `ConstraintRows.units`."""
 SHORTEST_STEP = 1e-7
@@ -404,6 +405,9 @@ def _go_on(tree, q, jacobian, inverse, off):  # type: ignore[no-untyped-def]
     """
     done, share, steps = 0.0, 1.0, 0
     while done < 1.0:
+        if tree.steps_left[0] == 0:
+            return q, jacobian, inverse, off, UNFINISHED, done, steps
+        tree.steps_left[0] -= 1
         end = done + share
         if end > 1.0 - 1e-12:
             end = 1.0

@@ -13,15 +13,16 @@ import pinocchio as pin
 
 from spm_pin.errors import ArgumentError, ClosureError
 from spm_pin.loops.assembly import assemble
+from spm_pin.loops.batched_state import at_index
 from spm_pin.loops.constraint_rows import ConstraintRows
-from spm_pin.loops.continuation import CLOSED, OPEN_START, SINGULAR_START, run
+from spm_pin.loops.continuation import CLOSED, OPEN_START, SINGULAR_START, UNFINISHED, run
 from spm_pin.loops.state_kinematics import StateKinematics
 from spm_pin.loops.tree_kernel import aim, linearised, moved, residual, tree_of
 from spm_pin.support.arguments import BoolArray, FloatArray
 
-FEW = 64
-"""Largest number of targets that are interpreted, in one to ten milliseconds each, if the kernel is not loaded. Loading
-takes half a second, compiling about 20 s."""
+FEW = 200
+"""Number of steps of paths in a process that are interpreted, in one to eight milliseconds each. For further ones the
+kernel is loaded, which takes half a second, or compiled, once, in about 20 s."""
 BASE_AT_ORIGIN = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 """Position and quaternion of a free joint."""
 DEPENDENT = 1e-7
@@ -30,6 +31,9 @@ DEPENDENT = 1e-7
 
 class Follower:
     """Paths of one chain to values of its actuated joints, or to poses of a frame."""
+
+    interpreted_steps = FEW
+    """Number of steps, for all chains in this process, that may still be interpreted."""
 
     def __init__(self, chain: Any, frame: str | None, chosen: Sequence[int]) -> None:
         model, self.chain = chain.model, chain
@@ -79,8 +83,11 @@ class Follower:
             self._local.tree = tree_of(self.rows, self.columns, *self._driven)
         return self._local.tree
 
-    def run(self, starts: FloatArray, targets: FloatArray, is_path: bool) -> FloatArray:
-        """Return q (n, nq) of n targets: from the start (nq,) along all, or each from its own (n, nq)."""
+    def run(self, starts: FloatArray, targets: FloatArray, is_path: bool, batch: tuple[int, ...]) -> FloatArray:
+        """Return q (n, nq) of n targets: from the start (nq,) along all, or each from its own (n, nq).
+
+        `batch` is the shape of the n targets for errors.
+        """
         results = np.empty((len(targets), starts.shape[-1]))
         if not len(targets):
             return results
@@ -91,10 +98,17 @@ class Follower:
                 # Loops do not depend on where free bases are; far from the origin they would be rounded more.
                 starts[:, self._bases] = self._at_origin
         aims = np.array(targets, order="C").reshape(len(targets), self._width)
-        follow = run.call if run.is_loaded or len(targets) > FEW else run.interpreted
-        k, status, done, steps = follow(self.tree, starts, aims, is_path, results)
+        steps_left, status = self.tree.steps_left, UNFINISHED
+        if not run.is_loaded and len(targets) <= Follower.interpreted_steps:
+            steps_left[0] = Follower.interpreted_steps
+            k, status, done, steps = run.interpreted(self.tree, starts, aims, is_path, results)
+            Follower.interpreted_steps = int(steps_left[0])
+        if status == UNFINISHED:
+            steps_left[0] = np.iinfo(np.int64).max
+            k, status, done, steps = run.call(self.tree, starts, aims, is_path, results)
         if status:
-            raise self.explained(results[k], k, status, done, steps, targets[k])
+            index = tuple(int(i) for i in np.unravel_index(k, batch))
+            raise at_index(self.explained(results[k], status, done, steps, targets[k]), index)
         if has_bases:
             results[:, self._bases] = bases
         return results
@@ -105,9 +119,9 @@ class Follower:
         run.call(self.tree, np.array(self.chain.q0, ndmin=2), *nothing)
 
     def explained(
-        self, q: FloatArray, k: int, status: int, done: float, steps: int, target: FloatArray
+        self, q: FloatArray, status: int, done: float, steps: int, target: FloatArray
     ) -> ArgumentError | ClosureError:
-        """Return the error that says why a path ends at q, after a share `done` of the way to target k."""
+        """Return the error that says why a path ends at q, after a share `done` of the way to the target."""
         chain, tree, rows = self.chain, self.tree, self.rows
         aim(tree, q, target.ravel())
         errors = residual(tree, q, 0.0)
@@ -135,13 +149,13 @@ class Follower:
                 "The target has more values than the chain has degrees of freedom: they would contradict each other",
             )
         cause = f"No further than {math.floor(1000.0 * done) / 10.0:g} % of the way"
-        cause += f" to member {k}" if k else ""
         if np.abs(errors).max(initial=0.0) > 0.5 * CLOSED:
             loop = rows.widest(errors * rows.row_units)[2]
             cause += f": equations of {loop!r} depend on each other, and begin to contradict each other there, as with"
             cause += " rounded dimensions. Fewer equations, as of a 'planar' closure, leave no such limit"
         else:
-            cause += ": a singularity, or the end of this assembly mode"
+            forward = "a forward singularity, or the end of this assembly mode"
+            cause += f": {forward if self.frame is None else 'an inverse singularity, or out of reach'}"
             cause += f". Not determined there: {listed}" if listed else ""
         # How open the loops, or how far the pose, would be with the target from here.
         there = residual(tree, moved(tree, q, 1.0, np.zeros(len(self.columns))), 1.0)

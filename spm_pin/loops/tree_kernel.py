@@ -12,7 +12,6 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
 from spm_pin.loops.constraint_rows import FORMS, ROTATION, ConstraintRows
 from spm_pin.loops.kernel import PlainArrays, inlined, jit
@@ -41,6 +40,8 @@ def tree_of(
         Where the equations of each closure begin, and how many there are, of positions and in all.
     driven_rates, pose_turn
         Change of each driven joint along the whole path, dimensionless, and the angle of the pose [rad].
+    steps_left
+        Number of steps, in all paths, before one is left unfinished.
     pose_share, drivers
         Share of the path that the current step covers, and values of the drivers of joint equalities at its start.
     """
@@ -54,7 +55,6 @@ def tree_of(
     orders = [np.r_[np.flatnonzero(sign < 0.0)[::-1], np.flatnonzero(sign > 0.0)] for sign in rows.signs]
     loops, none = rows.forms // FORMS, np.zeros(0)
     counts = np.bincount(loops, minlength=closures)
-    frame = rows.placements[rows.pose][1] if rows.pose >= 0 else pin.SE3.Identity()
     ends = [end for pair in rows.placements for end in pair]
     integers: dict[str, Any] = {
         "parents": [model.parents[joint.id] - 1 for joint in joints],
@@ -76,6 +76,7 @@ def tree_of(
         "position_counts": np.bincount(loops[rows.forms % FORMS < ROTATION], minlength=closures),
         "row_counts": counts,
         "held": held,
+        "steps_left": [np.iinfo(np.int64).max],
     }
     floats: dict[str, Any] = {
         "rotations": _flat(placement.rotation for placement in placements),
@@ -90,8 +91,6 @@ def tree_of(
         "polynomials": rows.polynomials,
         "zeros": rows.zeros,
         "drivers": np.zeros(len(rows.zeros)),
-        "frame_rotation": _flat([frame.rotation]),
-        "frame_place": [frame.translation],
         "gravity": [model.gravity.linear],
         "masses": [inertia.mass for inertia in inertias],
         "levers": _stacked(inertia.lever for inertia in inertias),
@@ -106,6 +105,7 @@ def tree_of(
         "turn": np.zeros(3),
         "pose_rotations": np.zeros((2, 9)),
         "pose_places": np.zeros((2, 3)),
+        "pose_axes": np.zeros((1, 9)),
     }
     arrays = {name: np.array(value, dtype=np.int64, order="C") for name, value in integers.items()}
     arrays |= {name: np.array(value, dtype=np.float64, order="C") for name, value in floats.items()}
@@ -331,7 +331,7 @@ def __aim_pose(tree, s):  # type: ignore[no-untyped-def]
         for i in range(3):
             start = tree.pose_places[0, i]
             tree.end_places[end, i] = start + s * (tree.pose_places[1, i] - start)
-    _put(product(matrix(tree.frame_rotation, 0), transposed(rotation)), tree.end_rotations, end + 1)
+    _put(rotation, tree.pose_axes, 0)
 
 
 @jit
@@ -348,12 +348,18 @@ def _equalities(tree, q, c):  # type: ignore[no-untyped-def]
 
 
 @inlined
+def _turning_axes(tree, loop, axes):  # type: ignore[no-untyped-def]
+    """Return the rotation matrix to the axes of the equations of rotation: for a pose to those of the target."""
+    return transposed(matrix(tree.pose_axes, 0)) if loop == tree.pose else axes
+
+
+@inlined
 def _left_sides(tree, rotations, origins, loop, axes, p2, c):  # type: ignore[no-untyped-def]
     """Write the left sides of the equations of a closure, and return the rotation matrix of frame 2 in frame 1."""
     gap = times(axes, plus(p2, scaled(point_of(tree, rotations, origins, loop, 0), -1.0)))
     r = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     if tree.position_counts[loop] < tree.row_counts[loop]:
-        r = product(axes, axes_of(tree, rotations, loop, 1))
+        r = product(_turning_axes(tree, loop, axes), axes_of(tree, rotations, loop, 1))
     first = tree.first_rows[loop]
     for row in range(first, first + tree.row_counts[loop]):
         c[row] = left_side(tree.forms[row], gap, r) / tree.row_units[row]
@@ -414,7 +420,7 @@ def linearised_at(tree, q, rotations, origins):  # type: ignore[no-untyped-def]
             for row in range(start, between):
                 jacobian[row, unknown] = v[0] if tree.forms[row] == 0 else v[1] if tree.forms[row] == 1 else v[2]
             if between < end:
-                w = times(axes, scaled(w, tree.loop_signs[k]))
+                w = times(_turning_axes(tree, loop, axes), scaled(w, tree.loop_signs[k]))
                 for row in range(between, end):
                     jacobian[row, unknown] = _turning(tree.forms[row], w, r)
             for row in range(start, end):
@@ -531,10 +537,7 @@ def aim(tree, q, target):  # type: ignore[no-untyped-def]
             tree.driven_rates[column] = (target[k] - q[tree.driven[k]]) / tree.units[column]
         return
     rotations, origins = placed(tree, q)
-    joint = tree.ends[tree.pose, 1]
-    carrier = matrix(rotations, joint)
-    start = product(carrier, matrix(tree.frame_rotation, 0))
-    place = plus(times(carrier, vector(tree.frame_place, 0)), vector(origins, joint))
+    start, place = axes_of(tree, rotations, tree.pose, 1), point_of(tree, rotations, origins, tree.pose, 1)
     _put(start, tree.pose_rotations, 0)
     tree.pose_places[0, 0], tree.pose_places[0, 1], tree.pose_places[0, 2] = place
     for i in range(3):

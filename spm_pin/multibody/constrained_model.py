@@ -70,6 +70,11 @@ def read_vectors(value: npt.ArrayLike, argument: str, size: int, *, single: bool
     return array
 
 
+def widest(gap: FloatArray) -> float:
+    """Return the largest distance of two points that a closure holds together [m], from the rows (3 n,) of all."""
+    return float(np.linalg.norm(gap.reshape(-1, 3), axis=-1).max())
+
+
 class SingularValues(NamedTuple):
     """Smallest singular values at a configuration, dimensionless; each is named after what its zero means.
 
@@ -97,11 +102,6 @@ class Factors(NamedTuple):
         """Return whether the reciprocal condition number of the matrix that was factorised is above `SUSPECT`."""
         norm = lapack.dlange("1", matrix)  # type: ignore[call-arg]
         return not self.zero_pivot and bool(lapack.dgecon(self.lu, norm)[0] > SUSPECT)
-
-    def determinant(self) -> float:
-        """Return the determinant."""
-        swaps = sum(place != k for k, place in enumerate(self.pivots.tolist()))
-        return float(math.prod(self.lu.diagonal().tolist()) * (-1.0) ** swaps)
 
     def solve(self, right_side: FloatArray) -> FloatArray:
         """Return A⁻¹ b, for one or several columns b."""
@@ -343,18 +343,6 @@ class TreeKinematics(StateKinematics):
         """Return the smallest singular values of K̂, N̂ and Jc C / d."""
         self.check_ball_angles()
         return SingularValues(*(float(np.linalg.svd(m, compute_uv=False)[-1]) for m in self.scaled_matrices()))
-
-    def forward_determinant(self) -> float:
-        """Return the determinant of N in scaled velocities, but for a constant factor of the model."""
-        return self._scaled_determinant(self.forward_factors)
-
-    def inverse_determinant(self) -> float:
-        """Return the determinant of K in scaled velocities, but for a constant factor of the model."""
-        return self._scaled_determinant(self.inverse_factors)
-
-    def _scaled_determinant(self, factors: Factors) -> float:
-        # The cosines are, but for its sign, the determinant of what maps rates of balls' joints to angular velocities.
-        return factors.determinant() / math.prod(math.cos(self.q.item(place)) for place, _ in self._middles)
 
     def check_ball_angles(self) -> None:
         """Raise `ArgumentError` where a ball joint's middle angle is ±90°."""
