@@ -12,11 +12,10 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
-from scipy.spatial.transform import RigidTransform
 
 from spm_pin.errors import ArgumentError, DescriptionError
 from spm_pin.loops.assembly import assemble
-from spm_pin.loops.closures import Closure, JointEquality, RobotDescription, are_rigid
+from spm_pin.loops.closures import Closure, JointEquality, RobotDescription
 from spm_pin.loops.constraint_rows import SCALAR_JOINTS, ConstraintRows
 from spm_pin.loops.following import Follower
 from spm_pin.loops.forward_simulation import LoopMotion, simulate
@@ -32,10 +31,10 @@ from spm_pin.support.arguments import (
     check_instance,
     likely_names,
     name_sequence,
-    real_array,
     type_and_value,
     whole_number,
 )
+from spm_pin.support.pose import PoseLike, as_rigid_transform
 
 
 class ClosedChain:
@@ -133,7 +132,7 @@ class ClosedChain:
                 q0=description.q0,
             )
         except ArgumentError as error:
-            where = f"{error.argument} in {description.source}"
+            where = f"{description.source}, {error.argument}"
             raise DescriptionError(where, error.expected, error.received, error.cause) from error
 
     @classmethod
@@ -154,10 +153,16 @@ class ClosedChain:
         srdf: str | PathLike[str] | None = None,
         held: Sequence[str] = (),
     ) -> Self:
-        """Return the chain of a URDF file, or its text, and its closures; `spm_pin.loops.read_urdf` reads them."""
+        """Return the chain of a URDF file, or its text, and its closures; `spm_pin.loops.read_urdf` reads them.
+
+        A URDF is a tree: one without Drake's tags and mimic joints needs closures, or an empty list to be left open.
+        """
         from spm_pin.loops.read_urdf import read_urdf
 
         description = read_urdf(source, closures, free_base=free_base, actuated=actuated, srdf=srdf)
+        if closures is None and not (description.closures or description.equalities):
+            cause = f"Name the YAML file of {description.source}; closures=[] leaves the tree open"
+            raise ArgumentError("closures", "what closes the loops", "none, and no Drake tags in the URDF", cause)
         return cls.from_description(description, held=held)
 
     @classmethod
@@ -238,7 +243,7 @@ class ClosedChain:
         return self._follow(self._follower(None, ()), targets, 1, near, "values")
 
     def inverse(
-        self, frame: str, pose: Any, near: npt.ArrayLike | None = None, rows: Sequence[int] = (0, 1, 2, 3, 4, 5)
+        self, frame: str, pose: PoseLike, near: npt.ArrayLike | None = None, rows: Sequence[int] = (0, 1, 2, 3, 4, 5)
     ) -> FloatArray:
         """Return all joint values (..., nq) that place a frame of the model.
 
@@ -266,7 +271,9 @@ class ClosedChain:
         if not chosen or len(chosen) != len(listed):
             raise ArgumentError("rows", expected, repr(rows))
         frame_index(self.model, frame)
-        return self._follow(self._follower(frame, chosen), _matrices(pose), 2, near, "pose")
+        # To check an SE3, whose rotation is one, would take longer than the path.
+        matrices = np.asarray(pose.homogeneous if isinstance(pose, pin.SE3) else as_rigid_transform(pose).as_matrix())
+        return self._follow(self._follower(frame, chosen), matrices, 2, near, "pose")
 
     def compile(self) -> None:
         """Compile paths, batches and forward dynamics, once for all robots and sessions: half a minute, later a second.
@@ -356,19 +363,6 @@ def _members(value: Any, kind: type[Kind], argument: str) -> tuple[Kind, ...]:
     if not isinstance(value, Sequence):
         raise ArgumentError(argument, f"a sequence of {kind.__name__}", type_and_value(value))
     return tuple(check_instance(member, kind, f"{argument}[{k}]") for k, member in enumerate(value))
-
-
-def _matrices(pose: Any) -> FloatArray:
-    """Return the homogeneous matrices (..., 4, 4) of a pose."""
-    if isinstance(pose, pin.SE3):
-        return np.asarray(pose.homogeneous)
-    matrix = pose.as_matrix() if isinstance(pose, RigidTransform) else pose
-    matrices = real_array(matrix, "pose", (4, 4), "homogeneous matrices of poses in the world")
-    if not are_rigid(matrices):
-        raise ArgumentError(
-            "pose", "homogeneous matrices of rigid transforms", "other matrices", "Rotations that are rounded?"
-        )
-    return matrices
 
 
 def _restored(cls: Any, model: Any, closures: Any, actuated: Any, equalities: Any, held: Any, q0: Any) -> Any:

@@ -23,7 +23,7 @@ import pinocchio as pin
 from spm_pin.errors import ArgumentError
 from spm_pin.loops.closures import Anchor, Closure, JointEquality
 from spm_pin.loops.links import find_frame
-from spm_pin.support.arguments import BoolArray, FloatArray, IntArray
+from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, likely_names
 
 POSITION, ROTATION, AXIS, FORMS = 0, 3, 6, 8
 """First index of the equations of each form among the eight of a closure, and their number."""
@@ -112,7 +112,8 @@ class ConstraintRows:
     def _anchor(self, anchor: Any, loop: str) -> tuple[int, Any]:
         frame = find_frame(self.model, anchor.frame)
         if frame is None:
-            raise ArgumentError(f"closure {loop!r}", "frames of the model", repr(anchor.frame))
+            cause = likely_names(anchor.frame, [frame.name for frame in self.model.frames])
+            raise ArgumentError(f"closure {loop!r}", "links or frames of the model", repr(anchor.frame), cause)
         found = self.model.frames[frame]
         return int(found.parentJoint), pin.SE3(found.placement * anchor.placement)
 
@@ -122,7 +123,8 @@ class ConstraintRows:
         for equality in self.equalities:
             for name in (equality.joint, equality.driver):
                 if name is not None and not (model.existJointName(name) and _joint(model, name).nq == 1):
-                    raise ArgumentError("equalities", SCALAR_JOINTS, repr(name))
+                    label = f"{name!r} in that of {equality.joint!r}"
+                    raise ArgumentError("equalities", SCALAR_JOINTS, label, likely_names(name, list(model.names)[1:]))
             driver = _joint(model, equality.driver) if equality.driver is not None else None
             joint = _joint(model, equality.joint)
             places.append([joint.idx_q, joint.idx_v, driver.idx_q if driver else -1, driver.idx_v if driver else -1])
