@@ -13,9 +13,9 @@ import pinocchio as pin
 
 from spm_pin.errors import ArgumentError, ClosureError
 from spm_pin.loops.assembly import assemble
-from spm_pin.loops.batched_state import at_index
 from spm_pin.loops.constraint_rows import ConstraintRows
 from spm_pin.loops.continuation import CLOSED, OPEN_START, SINGULAR_START, UNFINISHED, run
+from spm_pin.loops.loop_state import at_index
 from spm_pin.loops.state_kinematics import StateKinematics
 from spm_pin.loops.tree_kernel import aim, linearised, moved, residual, tree_of
 from spm_pin.support.arguments import BoolArray, FloatArray

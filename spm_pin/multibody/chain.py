@@ -26,8 +26,8 @@ from spm_pin.description.tree import srdf_text
 from spm_pin.errors import ArgumentError, ClosureError, DescriptionError, SingularConfigurationError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import physical_at_poses
-from spm_pin.loops.batched_state import at_index
 from spm_pin.loops.closed_chain import ClosedChain as LoopChain
+from spm_pin.loops.loop_state import at_index
 from spm_pin.loops.state_kinematics import AGREEMENT
 from spm_pin.machine.configuration import Configuration, check_configuration
 from spm_pin.machine.joint_angles import joint_angles, value_names
