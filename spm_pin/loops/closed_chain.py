@@ -17,12 +17,13 @@ from scipy.spatial.transform import RigidTransform
 from spm_pin.errors import ArgumentError, DescriptionError
 from spm_pin.loops.assembly import assemble
 from spm_pin.loops.closures import Closure, JointEquality, RobotDescription, are_rigid
-from spm_pin.loops.constraint_rows import SCALAR_JOINTS, ConstraintRows, LoopKinematics
-from spm_pin.loops.following import Follower, Problem
+from spm_pin.loops.constraint_rows import SCALAR_JOINTS, ConstraintRows
+from spm_pin.loops.following import Follower
 from spm_pin.loops.forward_simulation import LoopMotion, simulate
 from spm_pin.loops.loop_state import LoopState
 from spm_pin.loops.mobility import Mobility, mobility
-from spm_pin.loops.state_kinematics import frame_index, read_vectors
+from spm_pin.loops.state_kinematics import StateKinematics, frame_index, read_vectors
+from spm_pin.loops.tree_kernel import tree_of
 from spm_pin.support.arguments import (
     FloatArray,
     IntArray,
@@ -214,7 +215,7 @@ class ClosedChain:
         """
         q = self._read_q(self.q0 if q_guess is None else q_guess, "q_guess", single=True).copy()
         free = np.setdiff1d(np.flatnonzero(self.rows.concerns()), self._held_in_v)
-        return assemble(LoopKinematics(self.rows), q, free)
+        return assemble(StateKinematics(self), q, free)
 
     def forward(self, values: npt.ArrayLike, near: npt.ArrayLike | None = None) -> FloatArray:
         """Return all joint values (..., nq) for those of the actuated joints (..., n) [rad, m].
@@ -270,8 +271,8 @@ class ClosedChain:
     def compile(self) -> None:
         """Compile paths, batches and forward dynamics, once for all robots and sessions: half a minute, later a second.
 
-        `forward` and `inverse` do so by themselves after some hundreds of steps in a process, and `forward_dynamics`
-        for large batches. A control loop calls this before it starts, so that no call waits for the compiler.
+        `forward` and `inverse` do so by themselves after some hundred steps in a process, and `forward_dynamics` for
+        large batches. A control loop calls this before it starts, so that no call waits for the compiler.
         """
         self._follower(None, ()).compile()
         self.compile_dynamics()
@@ -286,10 +287,7 @@ class ClosedChain:
     @cached_property
     def tree(self) -> Any:
         """The chain as arrays for the compiled dynamics, which read them only."""
-        from spm_pin.loops import tree_kernel
-
-        problem = Problem(self.rows, np.arange(self.model.nv), self.actuated_in_q, self.actuated_in_v)
-        return tree_kernel.PlainTree(tree_kernel.tree_of(problem, self._held_in_v))
+        return tree_of(self.rows, np.arange(self.model.nv), self.actuated_in_q, self.actuated_in_v, self._held_in_v)
 
     def state(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> LoopState:
         """Return the `LoopState` at joint values q (..., nq) and velocities v (..., nv), zero by default."""

@@ -15,7 +15,7 @@ move them alike and do not contribute. Angles of 180° solve the equations of ax
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -23,7 +23,6 @@ import pinocchio as pin
 from spm_pin.errors import ArgumentError
 from spm_pin.loops.closures import Anchor, Closure, JointEquality
 from spm_pin.loops.links import find_frame
-from spm_pin.loops.point_closures import PointRows
 from spm_pin.support.arguments import BoolArray, FloatArray, IntArray
 
 POSITION, ROTATION, AXIS, FORMS = 0, 3, 6, 8
@@ -32,18 +31,6 @@ _FORMS_OF_KIND = {"point": (0, 1, 2), "hinge": (0, 1, 2, 6, 7), "planar": (0, 1)
 _TURNING = ("RX", "RY", "RZ", "RevoluteUnaligned", "PX", "PY", "PZ", "PrismaticUnaligned", "RUBX", "RUBY", "RUBZ")
 SCALAR_JOINTS = "hinges and slides, whose value is one number"
 _JOINT_KINDS = (*_TURNING, "RevoluteUnboundedUnaligned", "Spherical", "Translation", "Planar", "FreeFlyer")
-
-
-class Linearised(NamedTuple):
-    """Equations, scaled to be dimensionless, at one configuration."""
-
-    residual: FloatArray
-    """Left sides (m,)."""
-    jacobian: FloatArray
-    """Derivatives by all joint velocities (m, nv), in units of `ConstraintRows.units`."""
-    levers: FloatArray
-    """Speed of p2 that each velocity brings about, over its entry of `ConstraintRows.turns` if it turns (closures, nv).
-    """
 
 
 class ConstraintRows:
@@ -64,13 +51,11 @@ class ConstraintRows:
     turns : ndarray, shape (closures, nv)
         Angular speed of frame 2 against frame 1 that each velocity brings about; it is the same in any configuration.
     lever_scales : ndarray, shape (closures, nv)
-        Factors from the speeds of p2 to `Linearised.levers`.
+        Factors from the speeds of p2, dimensionless, to the levers of `tree_kernel.linearised`.
     are_lengths : ndarray of bool, shape (m,)
         True for equations in m, False in rad.
     size : float
         Length of the longest loop [m].
-    pose_axes : ndarray, shape (3, 3)
-        Rotation matrix of the target, in whose axes the equations of a pose's rotation are.
     """
 
     def __init__(
@@ -83,15 +68,15 @@ class ConstraintRows:
     ) -> None:
         """Read the anchors; `q` is a configuration of typical size, from which loops are measured.
 
-        `pose`, a frame and components, adds equations of a weld between this frame and the universe. Those of the
-        position are along the axes of the world; `placements` and `pose_axes` follow the target.
+        `pose`, a frame and components, adds equations of a weld between this frame and the universe, whose target
+        `tree_kernel.aim` sets.
         """
         for joint in list(model.joints)[1:]:
             if joint.shortname().removeprefix("JointModel") not in _JOINT_KINDS:
                 expected = "joints that are hinges, slides, balls, planar or free"
                 raise ArgumentError("model", expected, f"{joint.shortname()} {model.names[joint.id]!r}")
         self.model, self.closures, self.equalities = model, tuple(closures), tuple(equalities)
-        self.pose, self.pose_axes = -1, np.eye(3)
+        self.pose = -1
         forms_of_pose: tuple[int, ...] = ()
         if pose is not None:
             self.pose, forms_of_pose = len(self.closures), tuple(pose[1])
@@ -191,7 +176,7 @@ class ConstraintRows:
 
     @property
     def are_points(self) -> bool:
-        """True if `PointRows` has all equations."""
+        """True if `point_closures.PointRows` has all equations."""
         kinds = {closure.kind for closure in self.closures}
         return self.pose < 0 and not self.equalities and kinds == {"point"}
 
@@ -218,10 +203,7 @@ class ConstraintRows:
             one, two = data.oMi[a] * at_a, data.oMi[b] * at_b
             first[k], tip[k] = one.rotation, two.translation
             relative.append(one.actInv(two).homogeneous)
-        matrices = np.array(relative).reshape(-1, 4, 4)
-        if self.pose >= 0:
-            matrices[self.pose, :3, :3] = self.pose_axes.T @ matrices[self.pose, :3, :3]
-        return first, tip, matrices
+        return first, tip, np.array(relative).reshape(-1, 4, 4)
 
     def left_sides(self, q: FloatArray, relative: FloatArray) -> FloatArray:
         """Return the left sides (m,) in m and rad of the frames 2 in frames 1 (closures, 4, 4)."""
@@ -257,9 +239,6 @@ class ConstraintRows:
             maps[:, [0, 1, 2], [0, 1, 2]] += 0.5 * np.trace(r, axis1=1, axis2=2)[:, None]
             maps[:, 3, 1], maps[:, 3, 2] = r[:, 2, 2], -r[:, 1, 2]
             maps[:, 4, 2], maps[:, 4, 0] = r[:, 0, 2], -r[:, 2, 2]
-            if self.pose >= 0:
-                axes = axes.copy()
-                axes[self.pose] = self.pose_axes.T
             wrenches[:, ROTATION:, 3:] = maps @ axes
         return np.asarray(wrenches.reshape(-1, 6)[self.forms])
 
@@ -278,14 +257,6 @@ class ConstraintRows:
                 rows[len(self.forms) + k, driver] -= slope[0]
         return rows
 
-    def twists(self, data: Any, placed: tuple[FloatArray, ...]) -> FloatArray:
-        """Return the twists of frames 2 against frames 1 at p2, along the axes of frames 1 (closures, 6, nv)."""
-        first, tip, _ = placed
-        world = data.J * self.signs[:, None, :]
-        linear = world[:, :3] - np.cross(tip[:, :, None], world[:, 3:], axis=1)
-        axes = first.swapaxes(1, 2)
-        return np.concatenate([axes @ linear, axes @ world[:, 3:]], axis=1)
-
     def is_reversed(self, relative: FloatArray) -> list[str]:
         """Return the names of hinges and welds that hold the wrong way round: by 180°."""
         reversed_axes = []
@@ -294,46 +265,19 @@ class ConstraintRows:
                 reversed_axes.append(name)
         return reversed_axes
 
+    def widest(self, sides: FloatArray) -> tuple[float, str, str]:
+        """Return the distance or angle by which the worst loop or equality is open, its unit and name.
 
-class LoopKinematics:
-    """Equations of a `ConstraintRows` at one configuration after another, and the `pinocchio.Data` they use."""
-
-    def __init__(self, rows: ConstraintRows) -> None:
-        self.rows, self.data = rows, rows.model.createData()
-        self._points = PointRows(rows) if rows.are_points else None
-        self._columns = rows.units / rows.row_units[:, None]
-
-    def residual(self, q: FloatArray) -> FloatArray:
-        """Return the left sides (m,), dimensionless."""
-        pin.forwardKinematics(self.rows.model, self.data, q)
-        if self._points is not None:
-            self._points.update(self.data)
-            return np.asarray(self._points.residual() / self.rows.row_units)
-        relative = self.rows.placements_of(self.data)[2]
-        return np.asarray(self.rows.left_sides(q, relative) / self.rows.row_units)
-
-    def linearised(self, q: FloatArray) -> Linearised:
-        """Return the left sides and their derivatives, dimensionless."""
-        rows = self.rows
-        pin.computeJointJacobians(rows.model, self.data, q)
-        placed = rows.placements_of(self.data)
-        jacobian = rows.jacobian(q, self.data, placed)
-        scaled = rows.twists(self.data, placed) * rows.units
-        levers = np.sqrt((scaled[:, :3] ** 2).sum(axis=1)) * rows.lever_scales
-        return Linearised(rows.left_sides(q, placed[2]) / rows.row_units, jacobian * self._columns, levers)
-
-    def widest(self, q: FloatArray) -> tuple[float, str, str]:
-        """Return the distance or angle by which the worst loop or equality is open, its unit and name."""
-        rows = self.rows
-        pin.forwardKinematics(rows.model, self.data, q)
-        sides = np.abs(rows.left_sides(q, rows.placements_of(self.data)[2]))
-        if not len(sides):
+        `sides` (m,) are the left sides in m and rad, others may follow.
+        """
+        if not self.count:
             return 0.0, "m", ""
-        worst = int(np.argmax(sides / rows.row_units))
-        owners = np.concatenate([rows.forms // FORMS, -1 - np.arange(len(rows.equalities))])
-        is_length = bool(rows.are_lengths[worst])
-        alike = (owners == owners[worst]) & (rows.are_lengths == is_length)
-        return float(np.linalg.norm(sides[alike])), "m" if is_length else "rad", rows.labels[worst]
+        sides = np.abs(sides[: self.count])
+        worst = int(np.argmax(sides / self.row_units))
+        owners = np.concatenate([self.forms // FORMS, -1 - np.arange(len(self.equalities))])
+        is_length = bool(self.are_lengths[worst])
+        alike = (owners == owners[worst]) & (self.are_lengths == is_length)
+        return float(np.linalg.norm(sides[alike])), "m" if is_length else "rad", self.labels[worst]
 
 
 def _polynomial(coefficients: FloatArray, x: FloatArray) -> FloatArray:

@@ -12,16 +12,14 @@ import math
 
 import numpy as np
 
-from spm_pin.loops import continuation, null_space, state_kinematics, tree_kernel
+from spm_pin.loops import null_space, state_kinematics, tree_kernel
+from spm_pin.loops.kernel import Kernel, inlined, jit
 from spm_pin.loops.null_space import INDEPENDENT
 from spm_pin.loops.state_kinematics import AGREEMENT, COMPATIBLE, DEPENDENCE
 from spm_pin.loops.tree_kernel import (
-    Kernel,
     angular_of,
     axes_of,
     cross,
-    inlined,
-    jit,
     left_side,
     linearised_at,
     matrix,
@@ -331,7 +329,7 @@ def _accelerate(tree, q, v, forces, rank, regular):  # type: ignore[no-untyped-d
     """Replace forces (nv,) by accelerations, and return True; or return False if an error is perhaps to be raised."""
     nv, count, held = len(v), len(tree.kinds), len(tree.held)
     rotations, origins = placed(tree, q)
-    residual, jacobian, _, _ = linearised_at(tree, q, rotations, origins)
+    residual, jacobian, _ = linearised_at(tree, q, rotations, origins)
     first = len(residual)
     rows, gap = first + held, _largest(residual)
     if not gap <= AGREEMENT:
@@ -419,6 +417,4 @@ def _run(tree, q, v, forces, rank, regular):  # type: ignore[no-untyped-def]
     return True
 
 
-accelerate = Kernel(
-    _run, *(str(module.__file__) for module in (tree_kernel, continuation, null_space, state_kinematics)), __file__
-)
+accelerate = Kernel(_run, *(str(module.__file__) for module in (tree_kernel, null_space, state_kinematics)), __file__)
