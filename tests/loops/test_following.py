@@ -222,8 +222,8 @@ def test_inverse_of_a_platform_is_that_of_forward() -> None:
 
 
 def test_path_of_more_steps_than_are_interpreted_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
-    chain, kernel = stewart(), following.run
-    targets = far_targets(chain, 3, 0.1)
+    chain, kernel = four_bar(), following.run
+    targets = chain.q0[:1] + 2.0 * np.pi * np.array([[0.5], [1.0]])
     expected = chain.forward(targets, chain.q0)
     unloaded = SimpleNamespace(is_loaded=False, interpreted=kernel.interpreted, call=kernel.call)
     monkeypatch.setattr(following, "run", unloaded)
