@@ -271,8 +271,8 @@ class ClosedChain:
     def compile(self) -> None:
         """Compile paths, batches and forward dynamics, once for all robots and sessions: half a minute, later a second.
 
-        `forward` and `inverse` do so by themselves after some hundred steps in a process, and `forward_dynamics` for
-        large batches. A control loop calls this before it starts, so that no call waits for the compiler.
+        `forward` and `inverse` do so by themselves after some hundreds of steps in a process, and `forward_dynamics`
+        for large batches. A control loop calls this before it starts, so that no call waits for the compiler.
         """
         self._follower(None, ()).compile()
         self.compile_dynamics()

@@ -68,8 +68,8 @@ class ConstraintRows:
     ) -> None:
         """Read the anchors; `q` is a configuration of typical size, from which loops are measured.
 
-        `pose`, a frame and components, adds equations of a weld between this frame and the universe, whose target
-        `tree_kernel.aim` sets.
+        `pose`, a frame and components, adds equations of a weld between this frame and the universe. Those of the
+        position are along the axes of the world, those of the rotation along the axes of the target.
         """
         for joint in list(model.joints)[1:]:
             if joint.shortname().removeprefix("JointModel") not in _JOINT_KINDS:

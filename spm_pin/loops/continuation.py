@@ -54,7 +54,7 @@ from spm_pin.support.arguments import FloatArray
 
 DONE, SINGULAR_START, NO_FURTHER, OPEN_START, UNFINISHED = range(5)
 """Status of a path: target reached, Jacobian singular at the start, end before the target, loops open at the start, and
-no step left."""
+no steps left."""
 LONGEST = 1.0
 """Largest step tried in any joint, dimensionless: in rad, or in units of `ConstraintRows.units`."""
 SHORTEST_STEP = 1e-7

@@ -20,8 +20,8 @@ from spm_pin.loops.state_kinematics import StateKinematics
 from spm_pin.loops.tree_kernel import aim, linearised, moved, residual, tree_of
 from spm_pin.support.arguments import BoolArray, FloatArray
 
-FEW = 100
-"""Number of steps of paths in a process that are interpreted, in one to some milliseconds each. For further ones the
+FEW = 200
+"""Number of steps of paths in a process that are interpreted, in one to eight milliseconds each. For further ones the
 kernel is loaded, which takes half a second, or compiled, once, in about 20 s."""
 BASE_AT_ORIGIN = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 """Position and quaternion of a free joint."""
@@ -98,13 +98,14 @@ class Follower:
                 # Loops do not depend on where free bases are; far from the origin they would be rounded more.
                 starts[:, self._bases] = self._at_origin
         aims = np.array(targets, order="C").reshape(len(targets), self._width)
-        tree, k, status, done, steps = self.tree, 0, UNFINISHED, 1.0, 0
+        steps_left, status = self.tree.steps_left, UNFINISHED
         if not run.is_loaded and len(targets) <= Follower.interpreted_steps:
-            tree.steps_left[0] = Follower.interpreted_steps
-            k, status, done, steps = run.interpreted(tree, starts, aims, is_path, results)
-            Follower.interpreted_steps, tree.steps_left[0] = int(tree.steps_left[0]), -1
+            steps_left[0] = Follower.interpreted_steps
+            k, status, done, steps = run.interpreted(self.tree, starts, aims, is_path, results)
+            Follower.interpreted_steps = int(steps_left[0])
         if status == UNFINISHED:
-            k, status, done, steps = run.call(tree, starts, aims, is_path, results)
+            steps_left[0] = np.iinfo(np.int64).max
+            k, status, done, steps = run.call(self.tree, starts, aims, is_path, results)
         if status:
             index = tuple(int(i) for i in np.unravel_index(k, batch))
             raise at_index(self.explained(results[k], status, done, steps, targets[k]), index)

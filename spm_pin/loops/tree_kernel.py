@@ -40,12 +40,10 @@ def tree_of(
         Where the equations of each closure begin, and how many there are, of positions and in all.
     driven_rates, pose_turn
         Change of each driven joint along the whole path, dimensionless, and the angle of the pose [rad].
+    steps_left
+        Number of steps, in all paths, before one is left unfinished.
     pose_share, drivers
         Share of the path that the current step covers, and values of the drivers of joint equalities at its start.
-    pose_axes
-        Where the pose is to be at a share of the path; along its axes are the equations of rotation.
-    steps_left
-        Number of steps that paths may take, negative without a limit.
     """
     model, closures = rows.model, len(rows.closures)
     joints, inertias = list(model.joints)[1:], list(model.inertias)[1:]
@@ -78,7 +76,7 @@ def tree_of(
         "position_counts": np.bincount(loops[rows.forms % FORMS < ROTATION], minlength=closures),
         "row_counts": counts,
         "held": held,
-        "steps_left": [-1],
+        "steps_left": [np.iinfo(np.int64).max],
     }
     floats: dict[str, Any] = {
         "rotations": _flat(placement.rotation for placement in placements),

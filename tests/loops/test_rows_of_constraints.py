@@ -105,9 +105,19 @@ def test_pose_moves_in_proportion_to_the_share() -> None:
     for share in (0.0, 0.3, 1.0):
         sides = residual(follower.tree, q, share) * follower.rows.row_units
         way = (start.translation - end.translation) * share
-        turned = pin.exp3(-share * pin.log3(end.rotation @ start.rotation.T))
-        expected = [way[0], way[2], *(0.5 * pin.unSkew(turned - turned.T))]
-        assert_allclose(sides[5:10], expected, atol=1e-14)
+        target = pin.exp3(share * pin.log3(end.rotation @ start.rotation.T)) @ start.rotation
+        turned = target.T @ start.rotation
+        assert_allclose(sides[5:10], [way[0], way[2], *(0.5 * pin.unSkew(turned - turned.T))], atol=1e-14)
+        jacobian = linearised(follower.tree, q, share)[1]
+        for column, unit in zip(jacobian.T, np.eye(jacobian.shape[1]), strict=True):
+
+            def change(h: float, share: float = share, unit: Any = unit) -> Any:
+                ahead, back = (
+                    residual(follower.tree, moved(follower.tree, q, share, s * h * unit), share) for s in (1.0, -1.0)
+                )
+                return (ahead - back) / (2.0 * h)
+
+            assert_allclose(column, extrapolated(change, 0.02), atol=1e-10)
 
 
 def test_reversed_axis_is_no_closed_loop() -> None:
