@@ -157,6 +157,33 @@ class TreeState:
             raise ArgumentError(argument, expected, f"values that are {missed:.1e} off", cause)
         return np.asarray(kinematics.space.basis.dot(rates))
 
+    def _forward_dynamics(
+        self, argument: str, forces: FloatArray, frames: list[int], wrenches: dict[str, FloatArray]
+    ) -> FloatArray:
+        """Return the accelerations (..., nv) under actuators (..., n), given as `argument`, and wrenches at frames."""
+        if not frames:
+            if forces.ndim == 1 and not self._batch:
+                return self._accelerations(forces, [], ())
+            if max(math.prod(self._batch), math.prod(forces.shape[:-1])) > MANY:
+                self._chain.compile_dynamics()
+            accelerations = self._compiled_batch(argument, forces)
+            if accelerations is not None:
+                return accelerations
+
+        def member(tau: FloatArray, *loads: FloatArray) -> FloatArray:
+            return self._accelerations(tau, frames, loads)
+
+        return self._each_member(member, (self._nv,), **{argument: forces}, **wrenches)
+
+    def _compiled_batch(self, argument: str, tau: FloatArray) -> FloatArray | None:
+        """Return the accelerations of a batch; None if nothing is compiled, or a member perhaps has an error."""
+        batch = broadcastable(argument, tau.shape[:-1], "the other arguments", self._batch)
+        q, v = (np.broadcast_to(x, (*batch, x.shape[-1])).reshape(-1) for x in (self._q, self._v))
+        forces = np.zeros((*batch, self._nv))
+        forces[..., self.kinematics.actuated] = tau
+        self.failures = {}
+        return forces if self.kinematics.accelerate(q, v, forces.reshape(-1)) else None
+
     def _accelerations(self, tau: FloatArray, frames: list[int], loads: tuple[FloatArray, ...]) -> FloatArray:
         """Return the accelerations of a single state under actuators (n,) and wrenches at frames."""
         forces = self._forces(tau, frames, loads)
@@ -337,27 +364,7 @@ class LoopState(TreeState):
 
         `tau` (..., n) [N, N m] is in the order of the actuators.
         """
-        values = self._actuator_values(tau, "tau")
-        if wrenches is None and values.ndim == 1 and not self._batch:
-            return self._accelerations(values, [], ())
-
-        def member(tau: FloatArray, *loads: FloatArray) -> FloatArray:
-            return self._accelerations(tau, frames, loads)
-
-        frames, arrays = self._read_wrenches(wrenches)
-        if max(math.prod(self._batch), math.prod(values.shape[:-1])) > MANY:
-            self._chain.compile_dynamics()
-        accelerations = self._compiled_batch(values) if wrenches is None else None
-        return self._each_member(member, (self._nv,), tau=values, **arrays) if accelerations is None else accelerations
-
-    def _compiled_batch(self, tau: FloatArray) -> FloatArray | None:
-        """Return the accelerations of a batch; None if nothing is compiled, or a member perhaps has an error."""
-        batch = broadcastable("tau", tau.shape[:-1], "the other arguments", self._batch)
-        q, v = (np.broadcast_to(x, (*batch, x.shape[-1])).reshape(-1) for x in (self._q, self._v))
-        forces = np.zeros((*batch, self._nv))
-        forces[..., self.kinematics.actuated] = tau
-        self.failures = {}
-        return forces if self.kinematics.accelerate(q, v, forces.reshape(-1)) else None
+        return self._forward_dynamics("tau", self._actuator_values(tau, "tau"), *self._read_wrenches(wrenches))
 
     def inverse_dynamics(self, a: npt.ArrayLike, wrenches: Mapping[str, npt.ArrayLike] | None = None) -> FloatArray:
         """Return the forces of the actuators (..., n) [N, N m] for a motion under gravity, inertia and wrenches.

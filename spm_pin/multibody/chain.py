@@ -54,6 +54,8 @@ from spm_pin.support.pose import PoseLike, as_rigid_transform
 
 MOST_STEPS, SHORTEST_SHARE = 50, 2.0**-10
 """Largest number of Newton steps of `project`, and share of a step below which it ends without a solution."""
+CLOSED = 32.0 * float(np.finfo(np.float64).eps)
+"""Gap that rounding explains, as a share of the longest loop."""
 
 
 class ClosedChain:
@@ -267,7 +269,7 @@ class ClosedChain:
     def _closed(self, kinematics: TreeKinematics) -> FloatArray:
         """Return closed joint values near those of the kinematics, which are left there, or raise `ClosureError`."""
         constrained, q = self._constrained, kinematics.q
-        tolerance, units = constrained.rounding(q), constrained.units
+        tolerance, units = CLOSED * self.loops.rows.size, constrained.units
         for iteration in range(MOST_STEPS + 1):
             gap, share = kinematics.residual, 1.0
             if widest(gap) <= tolerance:

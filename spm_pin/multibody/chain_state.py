@@ -106,13 +106,8 @@ class ConstrainedState(TreeState):
         (..., 6) is onto the terminal platform. q and v are closed. Only constraint singularities raise: inverse and
         forward ones are no obstacle.
         """
-        frames, arrays = self._read_wrench(wrench)
-
-        def member(force: FloatArray, *loads: FloatArray) -> FloatArray:
-            return self._accelerations(force, frames, loads)
-
-        arrays = {"forces": read_vectors(forces, "forces", self._count), **arrays}
-        return self._each_member(member, (self._nv,), **arrays)
+        values = read_vectors(forces, "forces", self._count)
+        return self._forward_dynamics("forces", values, *self._read_wrench(wrench))
 
     def inverse_dynamics(self, a: npt.ArrayLike, wrench: npt.ArrayLike | None = None) -> FloatArray:
         """Return the forces of the actuators (..., n) [N, N m] for a motion under gravity, inertia and a wrench.

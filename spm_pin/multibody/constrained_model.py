@@ -147,14 +147,11 @@ class ConstrainedModel:
         # Without offsets; RPS legs have no negative length.
         self.home_readings = home_readings(machine)
         self.least_readings = machine.legs.least_readings
-        # d, and the part of platforms and links in the length of a loop [m].
+        # d [m].
         self.side = machine.ball_side
-        self._fixed_sizes = sum(base for base, _ in machine.stage_radii) + self.side
-        self._fixed_sizes += sum(float(kind.links.sum()) for kind in machine.legs.kinds)
         # Units of a step of order one in each joint: 1 rad, or d.
-        self._are_lengths = np.array(machine.legs.units) == "m"
         self.units = np.ones(len(names))
-        self.units[self.legs[self._are_lengths]] = self.side
+        self.units[self.legs[np.array(machine.legs.units) == "m"]] = self.side
         self.platform = prefix + ("platform" if self.is_stage else "terminal_platform")
         self.platform_frame = int(model.getFrameId(self.platform))
         # A stage's corners follow from the pose of its platform.
@@ -189,11 +186,6 @@ class ConstrainedModel:
             worst = np.unravel_index(int(short.argmin()), short.shape)
             received = f"{readings[worst]:g} m in {self.machine.legs.names[worst[-1]]}"
             raise ArgumentError(argument, "legs of no negative length", received, cause)
-
-    def rounding(self, q: FloatArray) -> float:
-        """Return the size of a gap that rounding explains [m]: a few eps times the length of the loops."""
-        lengths = np.abs(self.readings(q)).sum(where=self._are_lengths)
-        return 32.0 * float(np.finfo(np.float64).eps) * float(self._fixed_sizes + lengths)
 
     def read_q(self, q: npt.ArrayLike, argument: str = "q", *, single: bool = False) -> FloatArray:
         """Return joint values (..., nq) as an array, or raise `ArgumentError`."""
@@ -282,8 +274,10 @@ class TreeKinematics(StateKinematics):
         return True
 
     def accelerate(self, q: FloatArray, v: FloatArray, forces: FloatArray) -> bool:
-        """Do the same as the base, which has no notion of the balls' angles, at the q of `evaluate`."""
-        self.check_ball_angles()
+        """Do the same as the base, but leave a ball at ±90° to `check_ball_angles`."""
+        angles = [angle for place, _ in self._middles for angle in q[place :: self.model.nq].tolist()]
+        if any(abs(math.cos(angle)) <= SINGULAR for angle in angles):
+            return False
         return super().accelerate(q, v, forces)
 
     def velocities_along(self, platform: FloatArray, opening: FloatArray | None = None) -> FloatArray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -218,6 +219,17 @@ def test_inverse_of_a_platform_is_that_of_forward() -> None:
     assert_allclose(pin.difference(chain.model, goal, q), 0.0, atol=1e-12)
     many = chain.inverse("platform", np.broadcast_to(pose.homogeneous, (100, 4, 4)), chain.q0)
     assert_allclose(many, np.broadcast_to(q, many.shape), atol=1e-12)
+
+
+def test_path_of_more_steps_than_are_interpreted_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    chain, kernel = four_bar(), following.run
+    targets = chain.q0[:1] + 2.0 * np.pi * np.array([[0.5], [1.0]])
+    expected = chain.forward(targets, chain.q0)
+    unloaded = SimpleNamespace(is_loaded=False, interpreted=kernel.interpreted, call=kernel.call)
+    monkeypatch.setattr(following, "run", unloaded)
+    monkeypatch.setattr(following.Follower, "interpreted_steps", 4)
+    assert_allclose(chain.forward(targets, chain.q0), expected, atol=1e-12)
+    assert following.Follower.interpreted_steps == 0
 
 
 def test_inverse_of_rows_reaches_those_rows() -> None:
