@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from os import PathLike
 from typing import Any, Self
 
@@ -180,7 +180,8 @@ class ClosedChain:
         return cls.from_description(read_sdf(source, actuated=actuated, srdf=srdf), held=held)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _restored, (type(self), self.model, self.closures, self.actuated, self.equalities, self.held, self.q0)
+        restored = partial(type(self), equalities=self.equalities, held=self.held, q0=self.q0)
+        return restored, (self.model, self.closures, self.actuated)
 
     def __repr__(self) -> str:
         loops, joints = len(self.closures), self.model.njoints - 1
@@ -363,7 +364,3 @@ def _members(value: Any, kind: type[Kind], argument: str) -> tuple[Kind, ...]:
     if not isinstance(value, Sequence):
         raise ArgumentError(argument, f"a sequence of {kind.__name__}", type_and_value(value))
     return tuple(check_instance(member, kind, f"{argument}[{k}]") for k, member in enumerate(value))
-
-
-def _restored(cls: Any, model: Any, closures: Any, actuated: Any, equalities: Any, held: Any, q0: Any) -> Any:
-    return cls(model, closures, actuated, equalities=equalities, held=held, q0=q0)

@@ -118,7 +118,7 @@ class ConstraintRows:
         return int(found.parentJoint), pin.SE3(found.placement * anchor.placement)
 
     def _read_equalities(self) -> None:
-        """Note where the joints of equalities are, and their polynomials, highest power first."""
+        """Note where the joints of equalities are, and their polynomials, lowest power first."""
         model, places = self.model, []
         for equality in self.equalities:
             for name in (equality.joint, equality.driver):
@@ -215,12 +215,16 @@ class ConstraintRows:
         closures = np.array(forms).T.ravel()[self.forms]
         if not len(self.equalities):
             return np.asarray(closures)
-        joint, driver = q[self.equality_places[:, 0]] - self.zeros[:, 0], self._driver_values(q)
-        return np.concatenate([closures, joint - _polynomial(self.polynomials, driver)])
+        joints = q[self.equality_places[:, 0]] - self.zeros[:, 0]
+        return np.concatenate([closures, joints - self.curves(q, 0)])
 
-    def _driver_values(self, q: FloatArray) -> FloatArray:
+    def curves(self, q: FloatArray, order: int) -> FloatArray:
+        """Return the derivatives of an order of the equalities' polynomials by their drivers (equalities,)."""
         places = self.equality_places[:, 2]
-        return np.where(places >= 0, q[places] - self.zeros[:, 1], 0.0)
+        x = np.where(places >= 0, q[places] - self.zeros[:, 1], 0.0)
+        coefficients = np.polynomial.polynomial.polyder(self.polynomials, order, axis=1)
+        values = np.polynomial.polynomial.polyval(x, coefficients.T, tensor=False)
+        return np.asarray(np.where((places >= 0) | (order == 0), values, 0.0))
 
     def wrenches(self, placed: tuple[FloatArray, ...]) -> FloatArray:
         """Return the wrench about the world's origin (closures' equations, 6) that each equation exerts on frame 2.
@@ -249,15 +253,11 @@ class ConstraintRows:
         rows = self.wrenches(placed) @ data.J * self._form_signs
         if not len(self.equalities):
             return np.asarray(rows)
-        rows = np.concatenate([rows, np.zeros((len(self.equalities), self.model.nv))])
-        for k, (_, joint, place, driver) in enumerate(self.equality_places.tolist()):
-            rows[len(self.forms) + k, joint] = 1.0
-            if place >= 0:
-                slope = _polynomial(
-                    np.polynomial.polynomial.polyder(self.polynomials[k])[None], self._driver_values(q)[k]
-                )
-                rows[len(self.forms) + k, driver] -= slope[0]
-        return rows
+        follow = np.zeros((len(self.equalities), self.model.nv))
+        for row, (_, joint, _, driver), slope in zip(follow, self.equality_places, self.curves(q, 1), strict=True):
+            row[joint] = 1.0
+            row[driver] -= slope
+        return np.concatenate([rows, follow])
 
     def is_reversed(self, relative: FloatArray) -> list[str]:
         """Return the names of hinges and welds that hold the wrong way round: by 180°."""
@@ -280,11 +280,6 @@ class ConstraintRows:
         is_length = bool(self.are_lengths[worst])
         alike = (owners == owners[worst]) & (self.are_lengths == is_length)
         return float(np.linalg.norm(sides[alike])), "m" if is_length else "rad", self.labels[worst]
-
-
-def _polynomial(coefficients: FloatArray, x: FloatArray) -> FloatArray:
-    """Return the values of polynomials (n, degree + 1), lowest power first, at x (n,)."""
-    return np.asarray(np.polynomial.polynomial.polyval(x, coefficients.T, tensor=False))
 
 
 def _joint(model: Any, name: str) -> Any:

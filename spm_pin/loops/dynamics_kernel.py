@@ -60,20 +60,10 @@ def _wrench(bodies, k, linear, angular):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _hat_product(a, b):  # type: ignore[no-untyped-def]
-    """Return the product of the cross product matrices of two vectors, row by row."""
-    d = _dot(a, b)
-    return (
-        b[0] * a[0] - d,
-        b[0] * a[1],
-        b[0] * a[2],
-        b[1] * a[0],
-        b[1] * a[1] - d,
-        b[1] * a[2],
-        b[2] * a[0],
-        b[2] * a[1],
-        b[2] * a[2] - d,
-    )
+def _turned(column, turning, w, w1, w2):  # type: ignore[no-untyped-def]
+    """Return the second derivative of a column of R = R1ᵀ R2, where frame 2 turns against frame 1 at w = w2 - w1."""
+    fixed = plus(cross(turning, column), cross(w, cross(w2, column)))
+    return plus(fixed, scaled(cross(w1, cross(w, column)), -1.0))
 
 
 @jit
@@ -138,21 +128,10 @@ def _bias(tree, q, rates, rotations, origins, twists, drifts, bias):  # type: ig
         gap = times(axes, plus(gap, scaled(cross(w1, plus(v, cross(w, p))), -1.0)))
         r = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         if tree.position_counts[loop] < tree.row_counts[loop]:
-            a, x, x1, x2 = times(axes, turning), times(axes, w), times(axes, w1), times(axes, w2)
-            b, c = _hat_product(x, x2), _hat_product(x1, x)
-            hat = (0.0, -a[2], a[1], a[2], 0.0, -a[0], -a[1], a[0], 0.0)
-            change = (
-                hat[0] + b[0] - c[0],
-                hat[1] + b[1] - c[1],
-                hat[2] + b[2] - c[2],
-                hat[3] + b[3] - c[3],
-                hat[4] + b[4] - c[4],
-                hat[5] + b[5] - c[5],
-                hat[6] + b[6] - c[6],
-                hat[7] + b[7] - c[7],
-                hat[8] + b[8] - c[8],
-            )
-            r = product(change, product(axes, axes_of(tree, rotations, loop, 1)))
+            r = product(axes, axes_of(tree, rotations, loop, 1))
+            turns = times(axes, turning), times(axes, w), times(axes, w1), times(axes, w2)
+            x, y, z = _turned(r[0::3], *turns), _turned(r[1::3], *turns), _turned(r[2::3], *turns)
+            r = (x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2])
         for _ in range(tree.row_counts[loop]):
             bias[row] = left_side(tree.forms[row], gap, r) / tree.row_units[row]
             row += 1

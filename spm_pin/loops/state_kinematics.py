@@ -183,9 +183,8 @@ class StateKinematics:
         second = axes.swapaxes(1, 2) @ inner @ moved
         # Left sides of closures are linear in X.
         bias = np.concatenate([rows.left_sides(self.q, second), np.zeros(len(self._held))])
-        for k, (_, _, place, driver) in enumerate(rows.equality_places.tolist()):
-            curvature = np.polynomial.Polynomial(rows.polynomials[k]).deriv(2) if driver >= 0 else np.zeros_like
-            bias[len(rows.forms) + k] = -curvature(self.q[place] - rows.zeros[k, 1]) * v[driver] ** 2
+        if len(rows.equalities):
+            bias[len(rows.forms) : rows.count] = -rows.curves(self.q, 2) * v[rows.equality_places[:, 3]] ** 2
         return bias
 
     @cached_property
