@@ -192,7 +192,7 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "Polytope.within.limits": lambda: 100.0,
     "Manipulator.check_limits.limits": lambda: spm.LegLimits(1.0, 1.6),
     "Manipulator.from_data.data": lambda: BUILT.as_data(),
-    "Stage.check_limits.limits": lambda: spm.machine.StageLimits(0.0, 1.0),
+    "Stage.check_limits.limits": lambda: spm.LegLimits(0.0, 1.0),
     "Stage.from_data.data": lambda: STAGE.as_data(),
     "Polytope.contains.points": lambda: np.ones(6),
     "sweeps.condition.metric": lambda: "payload",
@@ -292,7 +292,7 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
 INPUTS = (
     "Configuration DesignProblem JointLimits LegLimits LegPath Legs Manipulator Masses Payload PlatformPath RigidBody"
 )
-INPUTS += " Ball Inclinations Stage Configuration StageLimits"
+INPUTS += " Ball Inclinations Stage Configuration LegLimits"
 """Classes that users make themselves; the others are results, made by the package."""
 
 OTHER_WORDS = {

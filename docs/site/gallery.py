@@ -37,14 +37,14 @@ Formula = Callable[[Configuration], Array]
 
 def straight_lines(wanted: Configuration) -> Array:
     """Put each ball at the plate's radius from a centre that stays, where the plate meets the plane of its leg."""
-    radius, up, rise = wanted.stage.platform_radius, wanted.normal[:, 2:], -_slopes(wanted)
+    radius, up, rise = wanted.machine.platform_radius, wanted.normal[:, 2:], -_slopes(wanted)
     length = np.hypot(up, rise)
     return _readings(wanted, radius * up / length, radius * rise / length)
 
 
 def straight_up(wanted: Configuration) -> Array:
     """Put each ball as high as it is on the plate, and straight above where it is on the level one."""
-    radius, rise = wanted.stage.platform_radius, -_slopes(wanted)
+    radius, rise = wanted.machine.platform_radius, -_slopes(wanted)
     return _readings(wanted, np.full_like(rise, radius), radius * rise)
 
 
@@ -54,7 +54,7 @@ def third_leg_otherwise(wanted: Configuration) -> Array:
     xx, c = nx**2, nz + 1.0
     third = (xx + 3.0 * nz * c) / (c - xx + (xx**2 - 3.0 * xx * ny**2) / (c * (c - xx)))
     shares = [*(1.0 - (xx + sign * np.sqrt(3.0) * nx * ny) / c for sign in (1.0, -1.0)), 0.5 * third - 0.5]
-    radius = wanted.stage.platform_radius
+    radius = wanted.machine.platform_radius
     return _readings(wanted, radius * np.stack(shares, axis=-1), -radius * _slopes(wanted))
 
 
@@ -64,7 +64,7 @@ def about_the_centre_by_x(wanted: Configuration) -> Array:
     roll, pitch = np.arctan2(-ny, nz), np.arcsin(nx)
     twist = np.arctan(-np.tan(roll) * np.tan(pitch))
     corners = _corners()
-    balls = wanted.stage.platform_radius * _placed(Rotation.from_euler("XYZ", np.stack([roll, pitch, twist], -1)))
+    balls = wanted.machine.platform_radius * _placed(Rotation.from_euler("XYZ", np.stack([roll, pitch, twist], -1)))
     return _readings(wanted, balls[..., 0] / corners[:, 0], balls[..., 2])
 
 
@@ -72,9 +72,9 @@ def about_the_centre(wanted: Configuration) -> Array:
     """Turn the plate about a centre that stays, roll before pitch; distances from pivots to balls are the readings."""
     nx, ny, nz = _turned(wanted.normal, 30.0)
     turn = Rotation.from_euler("YX", np.stack([np.arctan2(nx, nz), -np.arcsin(ny)], -1))
-    balls = wanted.stage.platform_radius * _placed(turn)
+    balls = wanted.machine.platform_radius * _placed(turn)
     balls[..., 2] += wanted.height[:, None]
-    return np.asarray(np.linalg.norm(balls - wanted.stage.base_radius * _corners(), axis=-1))
+    return np.asarray(np.linalg.norm(balls - wanted.machine.base_radius * _corners(), axis=-1))
 
 
 def balls_at_the_origin(wanted: Configuration) -> Array:
@@ -83,11 +83,11 @@ def balls_at_the_origin(wanted: Configuration) -> Array:
     r = over @ np.swapaxes(wanted.rotation, -1, -2) @ over
     z = -(r @ over @ wanted.translation[..., None])[..., 2, 0] + ABOVE
     (ux, vx, wx), (uy, vy, wy), wz = r[:, 0].T, r[:, 1].T, r[:, 2, 2]
-    b = wanted.stage.platform_radius
+    b = wanted.machine.platform_radius
     x = (b * uy * (ux - 3.0 * vy) + 2.0 * z * wx) / (2.0 * wz)
     y = (b * ux * (vy - ux) + 2.0 * b * vx * uy + 2.0 * z * wy) / (2.0 * wz)
-    pivots = wanted.stage.legs.pivots @ over @ np.swapaxes(r, -1, -2) + np.stack([x, y, z], -1)[:, None]
-    return np.asarray(np.linalg.norm(pivots - wanted.stage.legs.balls @ over - [0.0, 0.0, ABOVE], axis=-1))
+    pivots = wanted.machine.legs.pivots @ over @ np.swapaxes(r, -1, -2) + np.stack([x, y, z], -1)[:, None]
+    return np.asarray(np.linalg.norm(pivots - wanted.machine.legs.balls @ over - [0.0, 0.0, ABOVE], axis=-1))
 
 
 SOLVES = "solves the equations of the rigid plate numerically"
@@ -133,8 +133,8 @@ def _placed(turn: Rotation) -> Array:
 
 def _readings(wanted: Configuration, radii: Array, rises: Array) -> Array:
     """Return the readings for balls (n, 3) at these radii, and so much above the plate's centre, by their legs."""
-    places = np.stack([radii - wanted.stage.base_radius, wanted.height[:, None] + rises], axis=-1)
-    return np.asarray(wanted.stage.kind.readings(places, wanted.stage.crank_middles))
+    places = np.stack([radii - wanted.machine.base_radius, wanted.height[:, None] + rises], axis=-1)
+    return np.asarray(wanted.machine.kind.readings(places, wanted.machine.crank_middles))
 
 
 # What is computed of each machine

@@ -252,7 +252,7 @@ def _read_machine(given: Record, of_stage: bool) -> MachineInUnits:
     if limits is not None:
         typed, count = MachineInUnits(machine, unit), len(machine.legs.names)
         ends = [leg_numbers(text, "--limits", count, single=True) for text in limits]
-        machine = replace(machine, limits=machine.limits_class(*typed.read_limits("--limits", *ends)))
+        machine = replace(machine, limits=typed.read_limits("--limits", *ends))
     return MachineInUnits(machine, unit, tuple(named), file)
 
 

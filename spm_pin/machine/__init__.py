@@ -9,7 +9,7 @@ from spm_pin.machine.configuration import Configuration
 from spm_pin.machine.gallery import RealMachine, gallery
 from spm_pin.machine.joint_angles import JointAngles, home_readings, joint_angles
 from spm_pin.machine.leg_kinds import PRS, RPS, RRS, LegKind
-from spm_pin.machine.legs import LEGS, STAGE_LEGS, LegLimits, Legs, PlacedLegs, StageLimits
+from spm_pin.machine.legs import LEGS, STAGE_LEGS, LegLimits, Legs, PlacedLegs
 from spm_pin.machine.machine import Machine
 from spm_pin.machine.manipulator import PARAMETERS, Manipulator
 from spm_pin.machine.solutions import OPERATION_MODES, Degeneracy, SolutionSet, Status
@@ -39,7 +39,6 @@ __all__ = [
     "RealMachine",
     "SolutionSet",
     "Stage",
-    "StageLimits",
     "Status",
     "as_rigid_transform",
     "gallery",

@@ -6,7 +6,7 @@ import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -68,8 +68,9 @@ class LegLimits:
 
     Parameters
     ----------
-    minimum, maximum : float or sequence of six floats
-        In the order of `LEGS`, in metres, for RRS legs in radians. They may be infinite. `StageLimits` has three legs.
+    minimum, maximum : float or sequence of six or three floats
+        One for each leg of a manipulator, in the order of `LEGS`, or of a stage; or one for all legs of either. In
+        metres, for RRS legs in radians. They may be infinite.
 
     Notes
     -----
@@ -79,12 +80,15 @@ class LegLimits:
 
     minimum: tuple[float, ...]
     maximum: tuple[float, ...]
-    legs: ClassVar[tuple[str, ...]] = LEGS
-    """Names of the legs."""
 
     def __init__(self, minimum: float | Sequence[float], maximum: float | Sequence[float]) -> None:
-        object.__setattr__(self, "minimum", _of_legs(minimum, "minimum", self.legs))
-        object.__setattr__(self, "maximum", _of_legs(maximum, "maximum", self.legs))
+        ends = [_of_legs(minimum, "minimum"), _of_legs(maximum, "maximum")]
+        counts = {len(end) for end in ends if end.shape} or {6}
+        if len(counts) > 1:
+            raise GeometryError("limits", "as many minima as maxima", "three and six")
+        (count,) = counts
+        for name, end in zip(("minimum", "maximum"), ends, strict=True):
+            object.__setattr__(self, name, tuple(np.broadcast_to(end, count).tolist()))
         for leg, low, high in zip(self.legs, self.minimum, self.maximum, strict=True):
             if not low < high:
                 cause = "Minimum and maximum exchanged?" if low > high else ""
@@ -98,15 +102,19 @@ class LegLimits:
         pairs = [number_pair(lower, "lower", _UNITS)] * 3 + [number_pair(upper, "upper", _UNITS)] * 3
         return LegLimits(*zip(*pairs, strict=True))
 
+    @property
+    def legs(self) -> tuple[str, ...]:
+        """Names of the legs: `LEGS` or `STAGE_LEGS`."""
+        return LEGS if len(self.minimum) == 6 else STAGE_LEGS
+
     def __repr__(self) -> str:
         pairs = [f"{low:.6g}, {high:.6g}" for low, high in zip(self.minimum, self.maximum, strict=True)]
-        name = type(self).__name__
         if len(set(pairs)) == 1:
-            return f"{name}({pairs[0]})"
+            return f"LegLimits({pairs[0]})"
         if len(set(pairs[:3])) == len(set(pairs[3:])) == 1:
             return f"LegLimits.stages(({pairs[0]}), ({pairs[3]}))"
         bounds = (f"[{', '.join(f'{end:.6g}' for end in ends)}]" for ends in (self.minimum, self.maximum))
-        return f"{name}({', '.join(bounds)})"
+        return f"LegLimits({', '.join(bounds)})"
 
     @functools.cached_property
     def ends(self) -> FloatArray:
@@ -155,12 +163,6 @@ class LegLimits:
         return real_array(readings, "readings", shape, f"readings of the encoders, in {_UNITS}", allow_nan=True)
 
 
-class StageLimits(LegLimits):
-    """Minimum and maximum reading of the three legs of a `Stage`: one number for all, or three; see `LegLimits`."""
-
-    legs = STAGE_LEGS
-
-
 def check_path_readings(
     limits: LegLimits | None, units: Sequence[str], readings: FloatArray, argument: str, places: FloatArray, what: str
 ) -> None:
@@ -180,17 +182,16 @@ def _least(of_legs: FloatArray) -> FloatArray:
     return np.asarray(functools.reduce(np.minimum, np.moveaxis(of_legs, -1, 0)))
 
 
-def _of_legs(value: float | Sequence[float], argument: str, legs: tuple[str, ...]) -> tuple[float, ...]:
-    count = {6: "six", 3: "three"}[len(legs)]
-    expected = f"one reading or {count} in the order {', '.join(legs)}, in {_UNITS}"
+def _of_legs(value: float | Sequence[float], argument: str) -> FloatArray:
+    expected = f"one reading, or six in the order {', '.join(LEGS)}, or three of a stage, in {_UNITS}"
     array = as_array(value)
     if array is None or array.dtype.kind not in "fiu":
         raise GeometryError(argument, expected, type_and_value(value))
-    if array.shape not in ((), (len(legs),)):
+    if array.shape not in ((), (3,), (6,)):
         raise GeometryError(argument, expected, f"shape {array.shape}")
     if np.isnan(array).any():
         raise GeometryError("limits", expected, "NaN", "Use infinity for no maximum, or 0 for no minimum of a length")
-    return tuple(float(x) for x in np.broadcast_to(array, len(legs)))
+    return array.astype(np.float64)
 
 
 class PlacedLegs(NamedTuple):
@@ -488,8 +489,7 @@ class Legs:
     @property
     def free_limits(self) -> LegLimits:
         """Infinite limits."""
-        least = [kind.least_reading for kind in self.kinds for _ in range(3)]
-        return (LegLimits if len(self.kinds) == 2 else StageLimits)(least, math.inf)
+        return LegLimits(self.least_readings.tolist(), math.inf)
 
     @functools.cached_property
     def largest_slopes(self) -> FloatArray:

@@ -42,8 +42,6 @@ class Machine(ABC):
     base_radius: float
     legs: Legs
     limits: LegLimits | None
-    limits_class: ClassVar[type[LegLimits]] = LegLimits
-    """Class of its limits."""
     is_stage: ClassVar[bool] = False
     """True for one stage, False for a manipulator of two."""
     file_stem: ClassVar[str]
@@ -107,17 +105,16 @@ class Machine(ABC):
     def check_limits(self, limits: LegLimits | Sequence[Any]) -> LegLimits:
         """Return limits, or raise `GeometryError` if no readings of this machine have them or their unit is another.
 
+        A pair (minimum, maximum) is taken too, each one number or one for each leg.
         Readings of cranks are nearest to the middle of the machine's own limits, so that limits of another turn have
         to be those of the machine itself.
         """
         return self._checked_limits(limits, are_own=False)
 
-    def _checked_limits(self, limits: Any, *, are_own: bool) -> LegLimits:
+    def _checked_limits(self, given: Any, *, are_own: bool) -> LegLimits:
         """Return limits, the machine's own or others, or raise `GeometryError`."""
         legs = self.legs
-        if not isinstance(limits, LegLimits) or limits.legs != legs.names:
-            expected = f"{self.limits_class.__name__}(minimum, maximum)"
-            raise GeometryError("limits", expected, type(limits).__name__)
+        limits = self._limits_of_legs(given)
         without_offsets = limits.ends - legs.offsets
         ends = np.where(np.isfinite(without_offsets), np.abs(without_offsets), 0.0)
         middles = _crank_middle(*limits.ends, legs.offsets) if are_own else self.crank_middles
@@ -150,6 +147,25 @@ class Machine(ABC):
             cause = f"Lengths are in metres: {cause}"
             raise GeometryError("limits", expected, f"lengths of up to {longest:g} m", cause)
         return limits
+
+    def _limits_of_legs(self, limits: Any) -> LegLimits:
+        """Return limits of all legs, given as such, for one leg, or as a pair (minimum, maximum)."""
+        count = len(self.legs.names)
+        read: LegLimits = limits
+        if not isinstance(limits, LegLimits):
+            if not (isinstance(limits, list | tuple | np.ndarray) and len(limits) == 2):
+                expected = f"LegLimits, or a pair (minimum, maximum), each one number or {count}"
+                raise GeometryError("limits", expected, type_and_value(limits))
+            try:
+                read = LegLimits(*limits)
+            except GeometryError as error:
+                raise error.replaced(argument="limits") from None
+        ends = read.minimum, read.maximum
+        if len(ends[0]) != count:
+            if any(len(set(end)) > 1 for end in ends):
+                raise GeometryError("limits", f"limits of {count} legs, or one for all", f"limits of {len(ends[0])}")
+            read = LegLimits(*([end[0]] * count for end in ends))
+        return read
 
     def _warn_of_dimensions(self, lengths: dict[str, float]) -> None:
         """Warn if dimensions or links are unusual, and may be in another unit or exchanged."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import MISSING, fields
 from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -13,8 +13,6 @@ from spm_pin.errors import GeometryError, raised_as
 from spm_pin.machine.leg_kinds import KINDS, LegKind
 from spm_pin.machine.legs import LEGS, STAGE_LEGS, LegLimits, Legs
 from spm_pin.support.arguments import real_number, type_and_value
-
-Limits = TypeVar("Limits", bound=LegLimits)
 
 _LEG_KEYS = {
     "axis": "a unit vector along the revolute axis",
@@ -60,18 +58,18 @@ def _read_numbers(data: Any, argument: str, count: int, meaning: str) -> list[fl
     return data
 
 
-def read_limits(data: Any, argument: str, kind: type[Limits]) -> Limits:
+def read_limits(data: Any, argument: str, legs: tuple[str, ...]) -> LegLimits:
     """Return limits of a file: a pair for all legs, or one for each."""
-    pairs = read_mapping(data, argument, kind.legs) if isinstance(data, dict) else dict.fromkeys(kind.legs, data)
+    pairs = read_mapping(data, argument, legs) if isinstance(data, dict) else dict.fromkeys(legs, data)
     bounds = []
-    for leg in kind.legs:
+    for leg in legs:
         where = f"{leg} of {argument}" if isinstance(data, dict) else argument
         bounds.append(_read_numbers(pairs[leg], where, 2, "a minimum and a maximum in the unit of the readings"))
         try:
-            kind(*bounds[-1])
+            LegLimits(*bounds[-1])
         except GeometryError as wrong:
             raise GeometryError(where, wrong.expected, str(bounds[-1]), wrong.cause) from None
-    return kind(*zip(*bounds, strict=True))
+    return LegLimits(*zip(*bounds, strict=True))
 
 
 def limits_as_data(limits: LegLimits) -> Any:

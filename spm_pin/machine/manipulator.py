@@ -8,6 +8,7 @@ terminal platform, z up; {n} at the centre of the middle platform's triangle, x 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -25,7 +26,6 @@ from spm_pin.machine.legs import (
     RADIAL,
     LegLimits,
     Legs,
-    StageLimits,
 )
 from spm_pin.machine.machine import ALONE, Machine
 from spm_pin.machine.machine_files import (
@@ -68,7 +68,7 @@ class Manipulator(Machine):
         E and C, from the centres O and o of base and terminal platform to their revolute joints a_i and c_i [m].
     middle_side : float
         d, side of the middle platform's triangle b_1 b_2 b_3 [m].
-    limits : LegLimits, optional
+    limits : (minimum, maximum) or LegLimits, optional
         Limits of the encoders' readings, which in a nominal machine are the leg lengths. None means unlimited.
     legs : (LegKind, LegKind) or Legs, optional
         Kinds of the lower and of the upper legs, `RPS` if not given; or the legs of a calibrated machine, whose
@@ -96,7 +96,7 @@ class Manipulator(Machine):
         base_radius: float,
         platform_radius: float,
         middle_side: float,
-        limits: LegLimits | None = None,
+        limits: LegLimits | Sequence[Any] | None = None,
         legs: tuple[LegKind, LegKind] | Legs | None = None,
     ) -> None:
         for name, value in zip(_DIMENSIONS.values(), (base_radius, platform_radius, middle_side), strict=True):
@@ -127,7 +127,7 @@ class Manipulator(Machine):
             )
             raise GeometryError("upper", expected, f"{upper.platform_radius:g} m")
         dimensions = lower.base_radius, upper.base_radius, math.sqrt(3.0) * lower.platform_radius
-        low, high = (x.limits or StageLimits(x.kind.least_reading, math.inf) for x in (lower, upper))
+        low, high = (x.limits or x.legs.free_limits for x in (lower, upper))
         limits = LegLimits(low.minimum + high.minimum[::-1], low.maximum + high.maximum[::-1])
         kinds = lower.kind, upper.kind.turned_over
         legs: Legs | tuple[LegKind, LegKind] = kinds
@@ -160,7 +160,7 @@ class Manipulator(Machine):
                 expected = f"exactly one of the keys {triangle}_side and {triangle}_radius"
                 raise GeometryError(argument, expected, " and ".join(keys) or "neither")
             radii.append(lengths[keys[0]] / (math.sqrt(3.0) if keys[0].endswith("_side") else 1.0))
-        limits = read_limits(read["leg_limits"], "leg_limits", LegLimits) if "leg_limits" in read else None
+        limits = read_limits(read["leg_limits"], "leg_limits", LEGS) if "leg_limits" in read else None
         lower, upper = (read_kind(read[key], key) if key in read else RPS() for key in _KIND_KEYS)
         legs = read_legs(read["legs"], "legs", (lower, upper)) if "legs" in read else (lower, upper)
         return cls(radii[0], radii[1], lengths["middle_side"], limits, legs)

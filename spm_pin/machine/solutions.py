@@ -24,7 +24,6 @@ from spm_pin.support.arguments import (
     IntArray,
     boolean_array,
     broadcastable,
-    check_instance,
     first_offender,
     real_array,
     type_and_value,
@@ -245,13 +244,9 @@ class SolutionSet:
 
     def within(self, limits: LegLimits | None = None) -> Self:
         """Keep the solutions within limits of the legs, by default the machine's own; `status` does not change."""
-        limits = self.configurations.limits if limits is None else check_instance(limits, LegLimits, "limits")
+        limits = self.configurations.limits if limits is None else self.machine.check_limits(limits)
         if limits is None:
             return self
-        count = self.readings.shape[-1]
-        if len(limits.legs) != count:
-            raise ArgumentError("limits", f"limits of {count} legs", f"{type(limits).__name__} of {len(limits.legs)}")
-        self.configurations.machine.check_limits(limits)
         return self.where(limits.contains(self.readings))
 
     def nearest(self, near: Configuration | npt.ArrayLike) -> Configuration:

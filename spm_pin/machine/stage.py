@@ -16,7 +16,7 @@ import numpy as np
 from spm_pin.errors import GeometryError, raised_as
 from spm_pin.formulas.planar_legs import MOST_TURNED
 from spm_pin.machine.leg_kinds import PRS, RPS, RRS, LegKind
-from spm_pin.machine.legs import AZIMUTHS, LegLimits, Legs, StageLimits
+from spm_pin.machine.legs import AZIMUTHS, STAGE_LEGS, LegLimits, Legs
 from spm_pin.machine.machine import Machine
 from spm_pin.machine.machine_files import (
     legs_as_data,
@@ -26,7 +26,7 @@ from spm_pin.machine.machine_files import (
     read_limits,
     read_mapping,
 )
-from spm_pin.support.arguments import FloatArray, dimension, real_array, type_and_value
+from spm_pin.support.arguments import FloatArray, dimension, real_array
 
 _LENGTHS = RPS()
 _SAME_ANGLE = 1e-14
@@ -45,7 +45,7 @@ class Stage(Machine):
     legs : LegKind or Legs
         For a nominal stage `RPS()`, `PRS(rod=…)` or `RRS(crank=…, rod=…)`; for a calibrated one `Legs` of three, with
         their axes, pivots, balls and offsets.
-    limits : (minimum, maximum) or StageLimits, optional
+    limits : (minimum, maximum) or LegLimits, optional
         Limits of the readings, each one number or three: [m], for RRS legs [rad]. None means unlimited.
     azimuths : sequence of three floats, optional
         Directions of legs 1, 2, 3, counterclockwise, from x towards y [rad]: of the pivot, the ball and the
@@ -69,9 +69,8 @@ class Stage(Machine):
     base_radius: float
     platform_radius: float
     legs: Legs
-    limits: StageLimits | None
+    limits: LegLimits | None
 
-    limits_class = StageLimits
     is_stage = True
     file_stem = "stage"
     _least_share = 0.0
@@ -83,7 +82,7 @@ class Stage(Machine):
         base_radius: float,
         platform_radius: float,
         legs: LegKind | Legs = _LENGTHS,
-        limits: StageLimits | Sequence[Any] | None = None,
+        limits: LegLimits | Sequence[Any] | None = None,
         *,
         azimuths: Sequence[float] | None = None,
     ) -> None:
@@ -133,18 +132,6 @@ class Stage(Machine):
             )
             raise GeometryError("legs", expected, f"{reach[leg]:.4g} m for {self.legs.names[leg]}", cause)
 
-    def _checked_limits(self, limits: LegLimits | Sequence[Any], *, are_own: bool) -> LegLimits:
-        """Return limits, also of a pair (minimum, maximum)."""
-        if not isinstance(limits, LegLimits):
-            if not (isinstance(limits, list | tuple | np.ndarray) and len(limits) == 2):
-                expected = f"a pair (minimum, maximum) in {self.unit}, each one number or three"
-                raise GeometryError("limits", expected, type_and_value(limits))
-            try:
-                limits = StageLimits(limits[0], limits[1])
-            except GeometryError as error:
-                raise GeometryError("limits", error.expected, error.received, error.cause) from error
-        return super()._checked_limits(limits, are_own=are_own)
-
     def __repr__(self) -> str:
         radii = f"base_radius={self.base_radius:.6g}, platform_radius={self.platform_radius:.6g}"
         return f"Stage({radii}, legs={self.kind!r}{self._repr_end()}"
@@ -188,7 +175,7 @@ class Stage(Machine):
         read = read_mapping(data, argument, keys, {"limits", "as_built"}, other)
         kind = read_kind(read["legs"], "legs")
         legs = read_legs(read["as_built"], "as_built", (kind,)) if "as_built" in read else kind
-        limits = read_limits(read["limits"], "limits", StageLimits) if "limits" in read else None
+        limits = read_limits(read["limits"], "limits", STAGE_LEGS) if "limits" in read else None
         return cls(read["base_radius"], read["platform_radius"], legs, limits)
 
     def as_data(self) -> dict[str, Any]:

@@ -119,7 +119,7 @@ def plan(
     start, goal : Configuration, pose, or array_like of shape (6,); for a stage Configuration, or (3,)
         The states: a configuration in the physical mode, a pose of {m} in {B}, or readings [m] ([rad] for RRS legs).
         The state of a tilt and a height is ``spm.inverse_physical(stage, height, tilt=…)``.
-    limits : LegLimits, or StageLimits or a pair for a stage, optional
+    limits : LegLimits or (minimum, maximum), optional
         Limits of the readings; by default those of `machine`.
     via : sequence of the same
         States to pass on the way, in order.

@@ -15,7 +15,7 @@ from spm_pin.errors import ArgumentError, DescriptionError
 from spm_pin.loops.closed_chain import ClosedChain as LoopChain
 from spm_pin.machine.configuration import Configuration
 from spm_pin.machine.leg_kinds import KINDS, PRS, RPS, RRS, LegKind
-from spm_pin.machine.legs import RADIAL, Legs, StageLimits
+from spm_pin.machine.legs import RADIAL, LegLimits, Legs
 from spm_pin.machine.stage import Stage
 from spm_pin.multibody.tripod_legs import LETTERS, LegJoint, Tripod, find_legs
 from spm_pin.support.arguments import FloatArray, frozen, real_array, real_number
@@ -338,7 +338,7 @@ def _modes(sines: FloatArray, legs: list[_Leg]) -> tuple[int, ...]:
 
 def _limits(
     stage: Stage, legs: list[_Leg], chain: LoopChain, signs: FloatArray, zeros: FloatArray
-) -> tuple[FloatArray, StageLimits | None]:
+) -> tuple[FloatArray, LegLimits | None]:
     """Return the zeros of the readings, for cranks in the turn of their limits, and the limits."""
     places, kind = chain.indices_in_q(*(leg.name for leg in legs)), stage.kind
     ends = np.array([chain.model.lowerPositionLimit[places], chain.model.upperPositionLimit[places]])
@@ -358,7 +358,7 @@ def _limits(
         limits[np.abs(limits) > _FAR * stage.size] *= np.inf
     limits[0] = np.maximum(limits[0], kind.least_reading)
     are_free = (limits[0] == kind.least_reading).all() and np.isinf(limits[1]).all()
-    return zeros, None if are_free else StageLimits(limits[0].tolist(), limits[1].tolist())
+    return zeros, None if are_free else LegLimits(limits[0].tolist(), limits[1].tolist())
 
 
 def _platform(chain: LoopChain, q: FloatArray, tripod: Tripod) -> tuple[str, RigidTransform]:

@@ -223,7 +223,7 @@ def certify(
         For a calibrated machine the proof is for all machines that are as near to the nominal one, apart from the
         choice of the frame {n} of the balls.
     limits : LegLimits, optional
-        Finite limits of the readings, for a stage `StageLimits` or a pair; by default those of the machine.
+        Finite limits of the readings, `LegLimits` or a pair; by default those of the machine.
     boxes : int
         Maximum number of boxes in each stage.
     length_error : float
@@ -337,7 +337,7 @@ def largest_certified_limits(
     best, narrow, wide = None, 0.0, 0.999 * reach * float(shares.min())
     half = (1.0 - 0.9 * tolerance) * wide
     while wide - narrow > tolerance * wide:
-        limits = machine.limits_class(tuple(readings - half), tuple(readings + half))
+        limits = LegLimits(tuple(readings - half), tuple(readings + half))
         certificate = certify(machine, limits, boxes=boxes, length_error=length_error, angle_error=angle_error)
         if certificate.holds:
             best, narrow = certificate, half

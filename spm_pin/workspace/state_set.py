@@ -420,9 +420,7 @@ def finite_limits(machine: Machine, limits: LegLimits | None) -> LegLimits:
     """Return leg limits, or those of the machine; raises `ArgumentError` if one is missing or infinite."""
     limits = given_limits(machine, limits)
     if limits is None:
-        raise ArgumentError(
-            "limits", f"{machine.limits_class.__name__}(minimum, maximum)", None, "The machine has none of its own"
-        )
+        raise ArgumentError("limits", "LegLimits(minimum, maximum)", None, "The machine has none of its own")
     for leg, ends in zip(machine.legs.names, zip(limits.minimum, limits.maximum, strict=True), strict=True):
         if not np.isfinite(ends).all():
             expected = "a finite minimum and maximum for every leg"

@@ -65,7 +65,7 @@ def test_the_nearest_tilt_is_reached_as_printed_where_the_level_platform_is_not(
 ) -> None:
     stage = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11))
     middle = spm.inverse_physical(stage, 0.12, tilt=0.45, azimuth=0.5).readings
-    file, limits = tmp_path / "tilted.yaml", spm.machine.StageLimits(middle - 0.1, middle + 0.1)
+    file, limits = tmp_path / "tilted.yaml", spm.LegLimits(middle - 0.1, middle + 0.1)
     spm.Stage(0.08, 0.09, stage.kind, limits).to_yaml(file)
     done = run("stage", "inverse", "--stage", file, "--height", "0.12", "--tilt", wanted[0], "--azimuth", wanted[1])
     assert done.returncode in (3, 5)

@@ -20,7 +20,7 @@ def limited(machine: str, share: float = 0.06) -> spm.Stage:
     stage, height = stage_and_height(machine)
     level = spm.inverse_physical(stage, height).readings
     room = 5.0 * share if stage.unit == "rad" else share * stage.size
-    return dataclasses.replace(stage, limits=spm.machine.StageLimits(level - room, level + room))
+    return dataclasses.replace(stage, limits=spm.LegLimits(level - room, level + room))
 
 
 @pytest.mark.parametrize("machine", KINDS)

@@ -17,7 +17,7 @@ from spm_pin.casadi import stage_inverse
 from spm_pin.description import joint_values
 from spm_pin.export import linuxcnc_configuration
 from spm_pin.export.stage_export import stage_machine_sources
-from spm_pin.machine import RRS, Stage, StageLimits
+from spm_pin.machine import RRS, LegLimits, Stage
 from spm_pin.machine.joint_angles import joint_angles
 from spm_pin.proofs import certify
 from spm_pin.workspace.state_set import states_within
@@ -166,7 +166,7 @@ def test_a_robot_reads_so_in_all_that_computes_it(tmp_path: Path) -> None:
 
 
 def test_a_box_of_readings_about_straight_down_is_certified() -> None:
-    stage = replace(SWINGING, limits=StageLimits(-1.65, -1.5))
+    stage = replace(SWINGING, limits=LegLimits(-1.65, -1.5))
     machine = spm.Manipulator.of_stages(stage, stage)
     certificate = certify(machine)
     assert certificate.holds, certificate

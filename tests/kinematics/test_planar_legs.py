@@ -216,24 +216,24 @@ def test_limits_beyond_the_turn_of_a_cranks_readings_are_refused(limits: tuple[A
 
 def test_other_limits_than_the_machines_are_within_the_turn_of_its_readings() -> None:
     """Readings are nearest to the middle of the machine's own limits: a state within others of another turn is not."""
-    servos, other = Stage(0.05, 0.10, RRS(crank=0.04, rod=0.12)), spm.machine.StageLimits(-2.0, 0.5)
+    servos, other = Stage(0.05, 0.10, RRS(crank=0.04, rod=0.12)), spm.LegLimits(-2.0, 0.5)
     for refuse in (servos.check_limits, spm.inverse_displacement(servos, 0.07).within):
         with pytest.raises(spm.GeometryError, check=with_fields(argument="limits")):
             refuse(other)
-    swinging = dataclasses.replace(servos, limits=spm.machine.StageLimits(-2.2, 0.4))
+    swinging = dataclasses.replace(servos, limits=spm.LegLimits(-2.2, 0.4))
     assert spm.inverse_displacement(swinging, 0.07).within(other).physical().exists
 
 
 def test_limits_at_the_ends_of_the_turn_of_a_cranks_readings_are_accepted() -> None:
     servos, ends = Stage(0.05, 0.10, RRS(crank=0.04, rod=0.12)), (-np.pi / 2.0, 1.5 * np.pi)
-    limited = dataclasses.replace(servos, limits=spm.machine.StageLimits(*ends))
+    limited = dataclasses.replace(servos, limits=spm.LegLimits(*ends))
     readings = np.full(3, ends[0] + 1e-9)
     state = spm.forward_physical(limited, readings)
     np.testing.assert_allclose(spm.inverse_physical(limited, state.height).readings, readings, atol=1e-12)
     assert limited.perturbed(1).limits == limited.limits
     # An offset moves the turn.
     legs = Legs(*servos.legs.arrays[:3], np.full(3, -1.0), (servos.kind,))
-    assert dataclasses.replace(servos, legs=legs, limits=spm.machine.StageLimits(-2.5, 0.5)).limits is not None
+    assert dataclasses.replace(servos, legs=legs, limits=spm.LegLimits(-2.5, 0.5)).limits is not None
 
 
 REFUSED: dict[str, Callable[[spm.Manipulator], Any]] = {

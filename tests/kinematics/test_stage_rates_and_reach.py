@@ -130,7 +130,7 @@ def test_at_the_best_height_the_platform_tilts_farther_all_round_than_at_any_oth
 def limited_to_tilts() -> Stage:
     """Return the stage with limits that exclude the level platform."""
     middle = spm.inverse_physical(BALANCER, 0.12, tilt=0.45, azimuth=0.5).readings
-    limits = spm.machine.StageLimits(middle - 0.1, middle + 0.1)
+    limits = spm.LegLimits(middle - 0.1, middle + 0.1)
     return Stage(BALANCER.base_radius, BALANCER.platform_radius, BALANCER.kind, limits)
 
 

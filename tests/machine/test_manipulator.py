@@ -52,7 +52,7 @@ def test_limits_contain_their_bounds_and_measure_the_margin() -> None:
     assert limits.contains([by_rounding, beyond]).tolist() == [True, False]
     assert limits.margin([by_rounding, beyond]).round(12).tolist() == [0.0, -3e-8]
     assert limits.excess(by_rounding).tolist() == [0.0] * 6
-    longer, lower = spm.LegLimits(1e-2, np.inf), spm.machine.StageLimits(-np.inf, 1e-2)
+    longer, lower = spm.LegLimits(1e-2, np.inf), spm.LegLimits(-np.inf, 1e-2)
     for limits, sign in ((longer, -1.0), (lower, 1.0)):
         end = np.full(len(limits.minimum), 1e-2)
         assert limits.contains(end + sign * 1e-11)
@@ -80,14 +80,28 @@ def test_limits_in_another_unit_than_the_dimensions_are_refused(
     [
         (1.5, 1.1, "exchanged"),
         (1.1, 1.1, "minimum < maximum"),
-        ([1, 1, 1], 2, "six in the order r_b1"),
+        ([1, 1], 2, "six in the order r_b1"),
+        ([1, 1, 1], [2] * 6, "as many minima as maxima"),
         (float("nan"), 2, "NaN"),
-        (True, 2, "minimum: expected one reading or six"),
+        (True, 2, "minimum: expected one reading, or six"),
     ],
 )
 def test_wrong_limits_are_refused(minimum: object, maximum: object, words: str) -> None:
     with pytest.raises(spm.GeometryError, match=words):
         spm.LegLimits(minimum, maximum)  # type: ignore[arg-type]
+
+
+def test_limits_of_one_number_or_a_pair_are_those_of_all_legs_of_either_machine() -> None:
+    stage = spm.Stage(0.7, 0.46)
+    for machine in (PAPER, stage):
+        count = len(machine.legs.names)
+        for limits in ((1.15, 1.4), spm.LegLimits(1.15, 1.4), spm.LegLimits([1.15] * 3, 1.4), ([1.15] * count, 1.4)):
+            read = machine.check_limits(limits)
+            assert (read.legs, read.minimum, read.maximum) == (machine.legs.names, (1.15,) * count, (1.4,) * count)
+            assert replace(machine, limits=limits).limits == read
+    for machine, other in ((PAPER, ([1.1, 1.2, 1.1], 1.5)), (stage, ([1.1] * 5 + [1.2], 1.5))):
+        with pytest.raises(spm.GeometryError, check=with_fields(argument="limits")):
+            machine.check_limits(other)
 
 
 def test_the_text_of_a_geometry_is_short() -> None:

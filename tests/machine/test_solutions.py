@@ -291,9 +291,12 @@ def test_what_does_not_hold_in_another_unit_hints_at_it(length: float) -> None:
     [
         (lambda s: s.nearest(np.zeros((2, 3, 3))), "near: expected"),
         (lambda s: s.nearest(s["FT+"]), "near: expected states that exist"),
-        (lambda s: s.within((1.1, 1.5)), "limits: expected a LegLimits, got tuple"),
-        (lambda s: s.within(spm.machine.StageLimits(0, 1)), "limits: expected limits of 6 legs, got StageLimits of 3"),
-        (lambda s: STAGE.within(spm.LegLimits(1.1, 1.5)), "limits: expected limits of 3 legs, got LegLimits of 6"),
+        (lambda s: s.within(1.5), "limits: expected LegLimits, or a pair"),
+        (lambda s: s.within(([0, 0.1, 0], 1)), "limits: expected limits of 6 legs, or one for all, got limits of 3"),
+        (
+            lambda s: STAGE.within(spm.LegLimits.stages((1.1, 1.5), (1, 2))),
+            "limits: expected limits of 3 legs",
+        ),
         (lambda s: spm.inverse_physical(None, POSE), "machine: expected a Manipulator or a Stage, got NoneType"),
         (lambda s: spm.forward_physical(None, [1.2] * 6), "machine: expected a Manipulator or a Stage, got NoneType"),
         (lambda s: spm.SolutionSet(s, ["a"], 0), "configurations.*: expected"),

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from error_fields import with_fields
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import spm_pin as spm
-from spm_pin.machine.configuration import Configuration
 
 LEGS = {"RPS": spm.RPS(), "PRS": spm.PRS(rod=0.4), "RRS": spm.RRS(crank=0.15, rod=0.35)}
 OVER = RigidTransform.from_rotation(Rotation.from_euler("y", 180.0, degrees=True))
@@ -24,7 +24,7 @@ def test_legs_are_where_those_of_the_two_stages_are(lower: str, upper: str) -> N
     state = spm.Configuration(machine, pose, poses[0].apply(below.legs.balls))
     assert state.is_at_home
     assert state.closure_residual < 1e-12
-    halves = Configuration(below, poses[0]), Configuration(above, poses[1])
+    halves = spm.Configuration(below, poses[0]), spm.Configuration(above, poses[1])
     lower_legs, upper_legs = slice(3), slice(5, 2, -1)
     place = pose * OVER
     for name in ("balls", "leg_bases", "circle_centres"):
@@ -50,3 +50,52 @@ def test_the_same_states_of_a_machine_with_other_limits() -> None:
     assert moved.machine is limited
     np.testing.assert_array_equal(moved.balls, states.balls)
     np.testing.assert_array_equal((moved.limit_excess != 0.0).any(axis=-1), [True, True])
+
+
+def test_both_have_a_tilt_and_a_height_of_their_platform() -> None:
+    stage, machine = spm.Stage(0.7, 0.46), spm.Manipulator.paper()
+    for tilt, azimuth, torsion in ((0.3, 0.4, 0.0), (0.2, -2.0, 0.3)):
+        axis = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+        turn = Rotation.from_rotvec(tilt * axis) * Rotation.from_euler("z", torsion)
+        pose = RigidTransform.from_components([0.1, -0.2, 1.3], turn)
+        for state in (spm.Configuration(stage, pose), spm.Configuration(machine, pose, np.eye(3))):
+            found = [state.tilt, state.azimuth, state.torsion, state.height, *state.shift]
+            np.testing.assert_allclose(found, [tilt, azimuth, torsion, 1.3, 0.1, -0.2], atol=1e-15)
+            turns = Rotation.from_euler("XYZ", [state.roll, state.pitch, 0.0])
+            np.testing.assert_allclose(turns.apply([0.0, 0.0, 1.0]), state.normal, atol=1e-15)
+
+
+def test_the_middle_joints_of_a_stage_are_its_balls_and_it_has_no_upper_legs() -> None:
+    stage = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11))
+    states = spm.inverse_displacement(stage, [0.11, 0.12], tilt=0.2, azimuth=1.0)
+    np.testing.assert_array_equal(states.middle_joints, states.configurations.balls)
+    np.testing.assert_array_equal(states.configurations.middle_pose.as_matrix(), states.configurations.pose.as_matrix())
+    level = spm.inverse_physical(stage, 0.12)
+    for name in ("platform_joints", "platform_axes"):
+        with pytest.raises(spm.ArgumentError, check=with_fields(argument="machine")):
+            getattr(level, name)
+    with pytest.raises(spm.ArgumentError, check=with_fields(argument="middle_joints")):
+        spm.Configuration(stage, level.pose, level.balls)
+    with pytest.raises(spm.ArgumentError, check=with_fields(argument="middle_joints")):
+        spm.Configuration(spm.Manipulator.paper(), level.pose)
+
+
+def test_states_of_another_kind_of_machine_are_refused() -> None:
+    stage, machine = spm.Stage(0.7, 0.46), spm.Manipulator.paper()
+    level, state = spm.inverse_physical(stage, 1.2), spm.forward_physical(machine, [1.2, 1.3, 1.25, 1.3, 1.2, 1.25])
+    calls = {
+        "near": (
+            lambda: spm.inverse_displacement(stage, 1.2).nearest(state),
+            lambda: spm.inverse_displacement(machine, state.pose).nearest(level),
+            lambda: spm.forward_physical(stage, level.readings, near=state),
+        ),
+        "configuration": (
+            lambda: spm.kinematics.joint_loads(state, np.ones(6)),
+            lambda: spm.kinematics.parasitic_jacobian(state),
+        ),
+        "start": (lambda: spm.follow(stage, [level.readings, level.readings + 0.01], start=state),),
+    }
+    for argument, refused in calls.items():
+        for call in refused:
+            with pytest.raises(spm.ArgumentError, check=with_fields(argument=argument)):
+                call()

@@ -107,7 +107,7 @@ def test_wrong_arguments_are_named() -> None:
         ("start", ArgumentError, partial(spm.plan, stage, spm.inverse_physical(stage, [height]), goal)),
         ("goal", GeometryError, partial(spm.plan, stage, start, robot)),
         ("start", GeometryError, partial(spm.plan, paper, start, robot)),
-        ("limits", GeometryError, partial(spm.plan, stage, start, goal, spm.LegLimits(0.1, 0.9))),
+        ("limits", GeometryError, partial(spm.plan, stage, start, goal, spm.LegLimits.stages((0.1, 0.9), (0.1, 0.8)))),
         ("goal", UnreachableError, partial(spm.plan, stage, start, [2.9, -1.0, 2.9])),
         ("lengths", ArgumentError, partial(LegPath, np.ones((2, 4)))),
     ):

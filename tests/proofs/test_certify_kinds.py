@@ -137,7 +137,7 @@ def test_limits_up_to_a_leg_s_own_singularity_do_not_certify() -> None:
 
 def test_boxes_in_which_a_leg_may_be_singular_are_not_proved_whatever_their_determinant_is() -> None:
     stage = Stage(0.30, 0.25, RRS(crank=0.15, rod=0.35))
-    (region,) = stage_regions(stage, spm.machine.StageLimits(-1.0, 2.5))
+    (region,) = stage_regions(stage, stage.check_limits((-1.0, 2.5)))
     scale, boxes = stage_proof.edges(region), stage_proof.first_boxes(1)
     for _ in range(4):
         boxes = stage_proof.examine(region, scale, stage_proof.halves(boxes))

@@ -32,7 +32,7 @@ def test_readings_within_certified_limits_have_one_regular_state(name: str, erro
     (bound,), up = certificate.bounds, nominal.kind.up
     for _ in range(10 if error else 1):
         stage = machine_within(nominal, 0.999 * error, 0.999 * error, rng)
-        readings = readings_within(spm.machine.StageLimits(*LIMITS[name]), 60, rng)
+        readings = readings_within(stage.check_limits(LIMITS[name]), 60, rng)
         states = spm.forward_physical(stage, readings)
         assert certificate.covers(states).all()
         values = forward_determinants(states)
@@ -93,7 +93,7 @@ def test_wrong_arguments_are_named() -> None:
     certificate = spm.certify(stage, LIMITS["RRS"])
     for argument, call in (
         ("limits", lambda: spm.certify(stage)),
-        ("limits", lambda: spm.certify(stage, spm.LegLimits(0.1, 0.6))),
+        ("limits", lambda: spm.certify(stage, spm.LegLimits.stages((0.1, 0.6), (0.1, 0.7)))),
         ("machine", lambda: spm.certify(spm.RPS())),  # type: ignore[arg-type]
         ("centre", lambda: spm.largest_certified_limits(stage, [0.1, 0.2])),
         ("configuration", lambda: certificate.covers(spm.forward_physical(STAGES["PRS"], [0.12] * 3))),

@@ -25,7 +25,7 @@ def limited(machine: str) -> tuple[spm.Stage, float]:
     stage, height = stage_and_height(machine)
     level = spm.inverse_physical(stage, height).readings
     room = 0.4 if stage.unit == "rad" else 0.1 * stage.size
-    return dataclasses.replace(stage, limits=spm.machine.StageLimits(level - room, level + room)), height
+    return dataclasses.replace(stage, limits=spm.LegLimits(level - room, level + room)), height
 
 
 def points_of(machine: str, space: str, count: int = 60) -> Points:

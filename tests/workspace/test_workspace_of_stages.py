@@ -17,12 +17,12 @@ from spm_pin.workspace import JointLimits, leg_clearance, orientation_workspace,
 BALANCER = spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11), limits=(-0.6, 1.2))
 
 
-def limited(machine: str) -> tuple[spm.Stage, float, spm.machine.StageLimits]:
+def limited(machine: str) -> tuple[spm.Stage, float, spm.LegLimits]:
     """Return a stage, the height of a level state, and limits around its readings."""
     stage, height = stage_and_height(machine)
     level = spm.inverse_physical(stage, height).readings
     room = 0.3 if stage.unit == "rad" else 0.06 * stage.size
-    return stage, height, spm.machine.StageLimits(level - room, level + room)
+    return stage, height, spm.LegLimits(level - room, level + room)
 
 
 @pytest.mark.parametrize("machine", ["RPS", "PRS as built", "RRS"])
@@ -200,4 +200,4 @@ def test_tilts_are_reachable_within_limits_of_legs_and_of_joints() -> None:
     with pytest.raises(spm.ArgumentError, check=with_fields(argument="branch")):
         spm.workspace.reachable(BALANCER, 0.12, branch="TT+")
     with pytest.raises(spm.ArgumentError, check=with_fields(argument="limits")):
-        spm.workspace.reachable(BALANCER, 0.12, limits=spm.LegLimits(0.1, 0.2))
+        spm.workspace.reachable(BALANCER, 0.12, limits=spm.LegLimits.stages((0.1, 0.2), (0.1, 0.3)))
