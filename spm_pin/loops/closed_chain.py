@@ -17,6 +17,7 @@ from spm_pin.errors import ArgumentError, DescriptionError
 from spm_pin.loops.assembly import assemble
 from spm_pin.loops.closures import Closure, JointEquality, RobotDescription
 from spm_pin.loops.constraint_rows import SCALAR_JOINTS, ConstraintRows
+from spm_pin.loops.dynamics_kernel import accelerate
 from spm_pin.loops.following import Follower
 from spm_pin.loops.forward_simulation import LoopMotion, simulate
 from spm_pin.loops.loop_state import LoopState
@@ -78,6 +79,9 @@ class ClosedChain:
     --------
     spm_pin.ClosedChain : The serial-parallel manipulator as such a chain.
     """
+
+    dynamics = accelerate
+    """The kernel of forward dynamics, the same for all chains."""
 
     def __init__(
         self,
@@ -287,10 +291,8 @@ class ClosedChain:
 
     def compile_dynamics(self) -> None:
         """Compile forward dynamics alone."""
-        from spm_pin.loops.dynamics_kernel import accelerate
-
         zeros = np.zeros(self.model.nv)
-        accelerate.call(self.tree, self.q0.copy(), zeros, zeros.copy(), -1, -1)
+        self.dynamics.call(self.tree, self.q0.copy(), zeros, zeros.copy(), -1, -1)
 
     @cached_property
     def tree(self) -> Any:

@@ -314,11 +314,9 @@ class StateKinematics:
         It is not if nothing is compiled, or a state is not regular and closed.
         """
         if self._compiled is None:
-            from spm_pin.loops.dynamics_kernel import accelerate
-
-            if not accelerate.is_loaded:
+            if not self._chain.dynamics.is_loaded:
                 return False
-            self._compiled = accelerate.call
+            self._compiled = self._chain.dynamics.call
         chain, rank = self._chain, -1 if self.rank is None else self.rank
         return bool(self._compiled(chain.tree, q, v, forces, rank, chain.regular_dof))
 

@@ -64,9 +64,9 @@ class ClosedChain:
     Made by `from_urdf`. {B} is the link `base` and Pinocchio's universe. The chain finds joint values q [rad, m]
     that close the loops, in the order of `joint_names`; rates, forces and dynamics at q are methods of its `state`.
     Arguments are of one state or of a batch (..., nq), and leading axes of several broadcast. Pinocchio computes one
-    state at a time, so that a batch takes as long as its members; `joint_values`, and `forward_kinematics` and
-    `inverse_kinematics` without `near`, are vectorised. nq = nv = 18, or 9 for a stage; the actuators are the n = 6 or
-    3 legs.
+    state at a time, so that a batch takes as long as its members; `joint_values`, `forward_kinematics`,
+    `inverse_kinematics` and large batches of `forward_dynamics` are vectorised or compiled, on the way or in advance by
+    `loops.compile()`. nq = nv = 18, or 9 for a stage; the actuators are the n = 6 or 3 legs.
 
     A single state that is singular or not closed raises; in a batch such members are NaN, and `failures` of a `state`
     of the batch says why. Joint values of a calibrated machine are zero at the nominal home, where its loops are open
