@@ -23,6 +23,7 @@ from spm_pin.loops.tree_kernel import (
     left_side,
     linearised_at,
     matrix,
+    minus,
     placed,
     plus,
     point_of,
@@ -63,7 +64,7 @@ def _wrench(bodies, k, linear, angular):  # type: ignore[no-untyped-def]
 def _turned(column, turning, w, w1, w2):  # type: ignore[no-untyped-def]
     """Return the second derivative of a column of R = R1ᵀ R2, where frame 2 turns against frame 1 at w = w2 - w1."""
     fixed = plus(cross(turning, column), cross(w, cross(w2, column)))
-    return plus(fixed, scaled(cross(w1, cross(w, column)), -1.0))
+    return minus(fixed, cross(w1, cross(w, column)))
 
 
 @jit
@@ -72,7 +73,7 @@ def _motion(tree, rotations, origins, v, columns, twists, drifts, bodies):  # ty
     zero, center, k = (0.0, 0.0, 0.0), vector(origins, 0), 0
     for joint in range(len(tree.kinds)):
         parent, rotation = tree.parents[joint], matrix(rotations, joint)
-        arm = plus(vector(origins, joint), scaled(center, -1.0))
+        arm = minus(vector(origins, joint), center)
         linear, angular = zero, zero
         while k < len(v) and tree.joints[k] == joint:
             w = times(rotation, vector(tree.angular, k))
@@ -120,12 +121,12 @@ def _bias(tree, q, rates, rotations, origins, twists, drifts, bias):  # type: ig
         v2, w2 = _of_body(twists, second)
         drift1, turning1 = _of_body(drifts, first)
         drift2, turning2 = _of_body(drifts, second)
-        v, w = plus(v2, scaled(v1, -1.0)), plus(w2, scaled(w1, -1.0))
-        drift, turning = plus(drift2, scaled(drift1, -1.0)), plus(turning2, scaled(turning1, -1.0))
-        p = plus(point_of(tree, rotations, origins, loop, 1), scaled(center, -1.0))
+        v, w = minus(v2, v1), minus(w2, w1)
+        drift, turning = minus(drift2, drift1), minus(turning2, turning1)
+        p = minus(point_of(tree, rotations, origins, loop, 1), center)
         gap = plus(drift, cross(turning, p))
         gap = plus(gap, cross(w, plus(v2, cross(w2, p))))
-        gap = times(axes, plus(gap, scaled(cross(w1, plus(v, cross(w, p))), -1.0)))
+        gap = times(axes, minus(gap, cross(w1, plus(v, cross(w, p)))))
         r = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         if tree.position_counts[loop] < tree.row_counts[loop]:
             r = product(axes, axes_of(tree, rotations, loop, 1))
@@ -239,7 +240,7 @@ def _project(tree, columns, twists, drifts, bodies, x, a, moved, forces):  # typ
         linear, angular = vector(twists, joint), angular_of(twists, joint)
         force, turning = _wrench(bodies, joint, linear, angular)
         rate, rate_angular = vector(drifts, joint), angular_of(drifts, joint)
-        rate = plus(plus(rate, vector(columns, nv + joint)), scaled(vector(tree.gravity, 0), -1.0))
+        rate = minus(plus(rate, vector(columns, nv + joint)), vector(tree.gravity, 0))
         rate_angular = plus(rate_angular, angular_of(columns, nv + joint))
         wrench, moment = _wrench(bodies, joint, rate, rate_angular)
         wrench = plus(wrench, cross(angular, force))

@@ -17,7 +17,7 @@ from spm_pin.loops.constraint_rows import ConstraintRows
 from spm_pin.loops.continuation import CLOSED, OPEN_START, SINGULAR_START, UNFINISHED, run
 from spm_pin.loops.loop_state import at_index
 from spm_pin.loops.state_kinematics import StateKinematics
-from spm_pin.loops.tree_kernel import aim, linearised, moved, residual, tree_of
+from spm_pin.loops.tree_kernel import UNLIMITED, aim, linearised, moved, residual, tree_of
 from spm_pin.support.arguments import BoolArray, FloatArray
 
 FEW = 200
@@ -79,9 +79,11 @@ class Follower:
     @property
     def tree(self) -> Any:
         """The problem as arrays, those of this thread, since a path writes in them."""
-        if not hasattr(self._local, "tree"):
+        try:
+            return self._local.tree
+        except AttributeError:
             self._local.tree = tree_of(self.rows, self.columns, *self._driven)
-        return self._local.tree
+            return self._local.tree
 
     def run(self, starts: FloatArray, targets: FloatArray, is_path: bool, batch: tuple[int, ...]) -> FloatArray:
         """Return q (n, nq) of n targets: from the start (nq,) along all, or each from its own (n, nq).
@@ -98,14 +100,13 @@ class Follower:
                 # Loops do not depend on where free bases are; far from the origin they would be rounded more.
                 starts[:, self._bases] = self._at_origin
         aims = np.array(targets, order="C").reshape(len(targets), self._width)
-        steps_left, status = self.tree.steps_left, UNFINISHED
+        tree, status = self.tree, UNFINISHED
         if not run.is_loaded and len(targets) <= Follower.interpreted_steps:
-            steps_left[0] = Follower.interpreted_steps
-            k, status, done, steps = run.interpreted(self.tree, starts, aims, is_path, results)
-            Follower.interpreted_steps = int(steps_left[0])
+            tree.steps_left[0] = Follower.interpreted_steps
+            k, status, done, steps = run.interpreted(tree, starts, aims, is_path, results)
+            Follower.interpreted_steps, tree.steps_left[0] = int(tree.steps_left[0]), UNLIMITED
         if status == UNFINISHED:
-            steps_left[0] = np.iinfo(np.int64).max
-            k, status, done, steps = run.call(self.tree, starts, aims, is_path, results)
+            k, status, done, steps = run.call(tree, starts, aims, is_path, results)
         if status:
             index = tuple(int(i) for i in np.unravel_index(k, batch))
             raise at_index(self.explained(results[k], status, done, steps, targets[k]), index)

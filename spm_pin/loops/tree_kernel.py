@@ -21,6 +21,7 @@ HINGE, SLIDE, UNBOUNDED, BALL, FREE, TRANSLATION, PLANAR = range(7)
 _KINDS = {"Spherical": BALL, "FreeFlyer": FREE, "Translation": TRANSLATION, "Planar": PLANAR}
 _KINDS |= dict.fromkeys(("PX", "PY", "PZ", "PrismaticUnaligned"), SLIDE)
 _KINDS |= dict.fromkeys(("RUBX", "RUBY", "RUBZ", "RevoluteUnboundedUnaligned"), UNBOUNDED)
+UNLIMITED = int(np.iinfo(np.int64).max)
 
 
 def tree_of(
@@ -76,7 +77,7 @@ def tree_of(
         "position_counts": np.bincount(loops[rows.forms % FORMS < ROTATION], minlength=closures),
         "row_counts": counts,
         "held": held,
-        "steps_left": [np.iinfo(np.int64).max],
+        "steps_left": [UNLIMITED],
     }
     floats: dict[str, Any] = {
         "rotations": _flat(placement.rotation for placement in placements),
@@ -188,6 +189,12 @@ def times(a, x):  # type: ignore[no-untyped-def]
 def plus(x, y):  # type: ignore[no-untyped-def]
     """Return the sum of two vectors."""
     return x[0] + y[0], x[1] + y[1], x[2] + y[2]
+
+
+@inlined
+def minus(x, y):  # type: ignore[no-untyped-def]
+    """Return the difference of two vectors."""
+    return x[0] - y[0], x[1] - y[1], x[2] - y[2]
 
 
 @inlined
@@ -356,7 +363,7 @@ def _turning_axes(tree, loop, axes):  # type: ignore[no-untyped-def]
 @inlined
 def _left_sides(tree, rotations, origins, loop, axes, p2, c):  # type: ignore[no-untyped-def]
     """Write the left sides of the equations of a closure, and return the rotation matrix of frame 2 in frame 1."""
-    gap = times(axes, plus(p2, scaled(point_of(tree, rotations, origins, loop, 0), -1.0)))
+    gap = times(axes, minus(p2, point_of(tree, rotations, origins, loop, 0)))
     r = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     if tree.position_counts[loop] < tree.row_counts[loop]:
         r = product(_turning_axes(tree, loop, axes), axes_of(tree, rotations, loop, 1))
@@ -410,7 +417,7 @@ def linearised_at(tree, q, rotations, origins):  # type: ignore[no-untyped-def]
         for k in range(tree.first_columns[loop], tree.first_columns[loop + 1]):
             column = tree.loop_columns[k]
             w = angular_of(screws, column)
-            arm = plus(p2, scaled(vector(origins, tree.joints[column]), -1.0))
+            arm = minus(p2, vector(origins, tree.joints[column]))
             v = plus(vector(screws, column), cross(w, arm))
             levers[loop, column] = length(v) * tree.lever_scales[loop, column]
             unknown = tree.unknowns[column]
