@@ -46,12 +46,14 @@ class ConstraintRows:
         Size of each equation's left side: a fourth of the loop's length [m], or 1 for angles.
     units : ndarray, shape (nv,)
         Size of a step of order one of each velocity: 1 rad, or a fourth of a loop's length [m].
-    signs : ndarray, shape (closures, nv)
-        1 for velocities that move frame 2 alone, -1 for those that move frame 1 alone, 0 for the others.
+    moves, signs : ndarray, shapes (closures, 2, nv) and (closures, nv)
+        1 for velocities that move frames 1 and 2, otherwise 0, and the second less the first.
     turns : ndarray, shape (closures, nv)
         Angular speed of frame 2 against frame 1 that each velocity brings about; it is the same in any configuration.
     lever_scales : ndarray, shape (closures, nv)
         Factors from the speeds of p2, dimensionless, to the levers of `tree_kernel.linearised`.
+    screws : ndarray, shape (2, nv, 3)
+        Velocities and angular velocities of the joints, in their own frames.
     are_lengths : ndarray of bool, shape (m,)
         True for equations in m, False in rad.
     size : float
@@ -93,11 +95,12 @@ class ConstraintRows:
                 )
             self.joints.append([joint for joint, _ in ends])
             self.placements.append([placement for _, placement in ends])
-        self.signs = np.zeros((len(self.closures), model.nv))
-        for sign, (first, second) in zip(self.signs, self.joints, strict=True):
-            for end, value in ((first, -1.0), (second, 1.0)):
-                for joint in _support(model, end):
-                    sign[model.joints[joint].idx_v : model.joints[joint].idx_v + model.joints[joint].nv] += value
+        self.moves = np.zeros((len(self.closures), 2, model.nv))
+        for moves, carriers in zip(self.moves, self.joints, strict=True):
+            for moved, end in zip(moves, carriers, strict=True):
+                for joint in (model.joints[k] for k in _support(model, end)):
+                    moved[joint.idx_v : joint.idx_v + joint.nv] = 1.0
+        self.signs = self.moves[:, 1] - self.moves[:, 0]
         kinds = [forms_of_pose if k == self.pose else _FORMS_OF_KIND[c.kind] for k, c in enumerate(self.closures)]
         self.forms: IntArray = np.array([FORMS * k + form for k, forms in enumerate(kinds) for form in forms], np.intp)
         self._form_signs = self.signs[self.forms // FORMS]
@@ -151,30 +154,18 @@ class ConstraintRows:
             lengths.append(total + float(np.linalg.norm(np.subtract(*origin.values()))))
         self.size = max(lengths, default=0.0) or 1.0
         self.loop_lengths = np.maximum(lengths, 1e-3 * self.size)
-        is_slide = self._subspace()[0]
+        self.screws = _screws(model)
+        angular = self.screws[1]
+        is_slide = (angular == 0.0).all(axis=1)
         self.units = np.ones(model.nv)
         for column in np.flatnonzero(is_slide):
             loops = self.loop_lengths[self.signs[:, column] != 0.0]
             self.units[column] = 0.25 * (loops.min() if len(loops) else self.size)
-        self.turns = np.abs(self.signs) * np.linalg.norm(self.screws[1], axis=1) * self.units
+        self.turns = np.abs(self.signs) * np.linalg.norm(angular, axis=1) * self.units
         self.lever_scales = 4.0 / self.loop_lengths[:, None] / np.where(self.turns > 0.0, self.turns, 1.0)
         units = [0.25 * self.loop_lengths[f // FORMS] if f % FORMS < ROTATION else 1.0 for f in self.forms.tolist()]
         self.row_units = np.array([*units, *self.units[self.equality_places[:, 1]]])
         self.are_lengths = np.concatenate([self.forms % FORMS < ROTATION, is_slide[self.equality_places[:, 1]]])
-
-    def _subspace(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return which velocities are of translations (nv,), and velocities and angular velocities (nv, 3) of each."""
-        linear, angular = np.zeros((2, self.model.nv, 3))
-        data = self.model.createData()
-        for joint, state in list(zip(self.model.joints, data.joints, strict=True))[1:]:
-            columns = slice(joint.idx_v, joint.idx_v + joint.nv)
-            linear[columns], angular[columns] = state.S[:3].T, state.S[3:].T
-        return (angular == 0.0).all(axis=1), linear, angular
-
-    @property
-    def screws(self) -> tuple[FloatArray, FloatArray]:
-        """Velocities and angular velocities (nv, 3) of the joints, in their own frames."""
-        return self._subspace()[1:]
 
     @property
     def are_points(self) -> bool:
@@ -280,6 +271,16 @@ class ConstraintRows:
         is_length = bool(self.are_lengths[worst])
         alike = (owners == owners[worst]) & (self.are_lengths == is_length)
         return float(np.linalg.norm(sides[alike])), "m" if is_length else "rad", self.labels[worst]
+
+
+def _screws(model: Any) -> FloatArray:
+    """Return velocities and angular velocities (2, nv, 3) of all joints, in their own frames."""
+    linear, angular = screws = np.zeros((2, model.nv, 3))
+    data = model.createData()
+    for joint, state in list(zip(model.joints, data.joints, strict=True))[1:]:
+        columns = slice(joint.idx_v, joint.idx_v + joint.nv)
+        linear[columns], angular[columns] = state.S[:3].T, state.S[3:].T
+    return screws
 
 
 def _joint(model: Any, name: str) -> Any:

@@ -109,11 +109,6 @@ class StateKinematics:
         # A free base, and other joints that are neither in a loop nor actuated, stand still where actuators have rates.
         in_loops = np.concatenate([np.flatnonzero(rows.signs.any(axis=0)), *rows.equality_places[:, [1, 3]]])
         self.base = np.setdiff1d(np.arange(nv), np.concatenate([in_loops, self.actuated, held]))
-        # For each closure, which velocities move its first frame.
-        self._first = np.zeros((len(rows.closures), nv))
-        for moved, (first, _) in zip(self._first, rows.joints, strict=True):
-            for joint in [self.model.joints[j] for j in list(self.model.supports[first])[1:]]:
-                moved[joint.idx_v : joint.idx_v + joint.nv] = 1.0
         self._compiled: Any = None
         self._bare = 0  # number of attributes while no member is cached
         self._bare = len(self.__dict__)
@@ -172,7 +167,7 @@ class StateKinematics:
             return self._points.bias(data, self.q, v, self.zero_velocity)
         pin.computeJointJacobiansTimeVariation(self.model, data, self.q, v)
         across, count = (rows.signs * v).T, len(rows.joints)
-        columns = [data.J.dot(across), data.dJ.dot(across), data.J.dot((self._first * v).T)]
+        columns = [data.J.dot(across), data.dJ.dot(across), data.J.dot((rows.moves[:, 0] * v).T)]
         hats = np.concatenate(columns, axis=1).T.dot(_HATS).reshape(3, count, 4, 4)
         relative, change, first = hats
         # X = M1⁻¹ M2 of the placements in the world; its second derivative is M1⁻¹ (...) M2, with a last row of zeros.
