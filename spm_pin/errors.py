@@ -172,9 +172,9 @@ class SingularConfigurationError(SpmError):
     Attributes
     ----------
     kind : str
-        "inverse": the platform's twist does not determine the leg rates. "forward": the platform can move with locked
-        actuators. "constraint": the revolute joints of a stage do not constrain its platform, which is both. "leg": the
-        actuator of a PRS or RRS leg does not move its ball.
+        "inverse": the platform's twist does not determine the leg rates. "forward": the mechanism can move with locked
+        actuators. "constraint": the closures lose rank, as where the revolute joints of a stage do not constrain its
+        platform, which is both. "leg": the actuator of a PRS or RRS leg does not move its ball.
     sigma_min : float
         Smallest singular value of the matrix concerned, dimensionless; for a leg its slope κ.
     index : tuple of int
@@ -187,7 +187,7 @@ class SingularConfigurationError(SpmError):
         self.kind, self.sigma_min, self.index, self.cause = kind, sigma_min, index, cause
         meaning = {
             "inverse": "the twist of the platform does not determine the leg rates",
-            "forward": "the actuators do not hold the platform",
+            "forward": "the mechanism can move with locked actuators",
             "constraint": "the equations of the closures lose rank here",
             "leg": "the actuator of a leg does not move its ball",
         }

@@ -30,6 +30,17 @@ start, goal = spm.forward_physical(machine, [[1.2, 1.3, 1.25, 1.4, 1.3, 1.2], [1
 assert isinstance(spm.plan(machine, start, goal).path, spm.PlatformPath | spm.motion.LegPath)
 """
 
+FOLLOW = """
+import numpy as np, pinocchio as pin
+from spm_pin.loops import Anchor, ClosedChain, Closure
+model = pin.Model()
+for parent, name, x in ((0, "crank", 0.0), (1, "coupler", 0.1), (0, "rocker", 0.3)):
+    model.addJointFrame(model.addJoint(parent, pin.JointModelRZ(), pin.SE3(np.eye(3), np.array([x, 0.0, 0.0])), name))
+ends = [Anchor(name, pin.SE3(np.eye(3), np.array([x, 0.0, 0.0]))) for name, x in (("coupler", 0.35), ("rocker", 0.25))]
+chain = ClosedChain(model, [Closure("planar", *ends)], ["crank"], q0=[0.6, 0.4, 1.2])
+chain.forward([0.7])
+"""
+
 COMMAND = """
 import sys
 from spm_pin.cli import main
@@ -62,8 +73,9 @@ def command(text: str) -> str:
             ("import spm_pin.crosscheck", "casadi pinocchio"),
             (PLAN, "pinocchio"),
         ],
+        [(FOLLOW, "numba casadi")],
     ],
-    ids=["commands", "functions"],
+    ids=["commands", "functions", "loops"],
 )
 def test_steps_in_one_process_load_nothing_that_they_do_not_need(steps: list[tuple[str, str]], tmp_path: Path) -> None:
     program = "import sys\n"

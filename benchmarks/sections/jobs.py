@@ -241,6 +241,7 @@ def _control(section: Section, chain: Any, n: int, progress: Progress, facts: Fa
     rates = np.diff(lengths, axis=0) / 1e-3
     ours, plain = tick(chain), PlainPinocchio(chain)
     q = chain.forward_kinematics(lengths[0])
+    chain.loops.compile()
     still = np.zeros(18)
 
     def other(now: FloatArray, _: FloatArray) -> FloatArray:

@@ -11,8 +11,8 @@ import numpy as np
 import pinocchio as pin
 
 from spm_pin.errors import ClosureError
-from spm_pin.loops.constraint_rows import LoopKinematics
 from spm_pin.loops.continuation import CLOSED
+from spm_pin.loops.state_kinematics import StateKinematics
 from spm_pin.support.arguments import FloatArray, IntArray
 
 MOST_STEPS, LONGEST_STEP = 200, 0.5
@@ -24,7 +24,7 @@ LEAST_DAMPING = 1e-16
 """Smallest damping, relative to the squared largest singular value, so that dependent rows are not divided by zero."""
 
 
-def assemble(kinematics: LoopKinematics, guess: FloatArray, free: IntArray) -> FloatArray:
+def assemble(kinematics: StateKinematics, guess: FloatArray, free: IntArray) -> FloatArray:
     """Return closed joint values near a guess (nq,), moving only the velocities `free`, or raise `ClosureError`."""
     rows, random = kinematics.rows, np.random.default_rng(0)
     nearest, least, steps, is_reversed = guess, np.inf, 0, [""]
@@ -37,12 +37,14 @@ def assemble(kinematics: LoopKinematics, guess: FloatArray, free: IntArray) -> F
             q = pin.integrate(rows.model, guess, away * rows.units)
         q, size, taken = _search(kinematics, q, free)
         steps += taken
-        if size < least:
-            nearest, least = q, size
-            is_reversed = _reversed(kinematics, q)
-        if size <= CLOSED and not _reversed(kinematics, q):
+        kinematics.evaluate(q)
+        turned = rows.is_reversed(kinematics.placed[2])
+        if size <= CLOSED and not turned:
             return q
-    gap, unit, loop = kinematics.widest(nearest)
+        if size < least:
+            nearest, least, is_reversed = q, size, turned
+    kinematics.evaluate(nearest)
+    gap, unit, loop = rows.widest(kinematics.residual)
     cause = f"{loop!r} stays open: no closed configuration near the guess, or links of lengths that cannot close"
     if least <= CLOSED:
         cause = (
@@ -51,22 +53,16 @@ def assemble(kinematics: LoopKinematics, guess: FloatArray, free: IntArray) -> F
     raise ClosureError(gap, steps, cause, loop, unit)
 
 
-def _reversed(kinematics: LoopKinematics, q: FloatArray) -> list[str]:
-    pin.forwardKinematics(kinematics.rows.model, kinematics.data, q)
-    return kinematics.rows.is_reversed(kinematics.rows.placements_of(kinematics.data)[2])
-
-
-def _search(kinematics: LoopKinematics, q: FloatArray, free: IntArray) -> tuple[FloatArray, float, int]:
+def _search(kinematics: StateKinematics, q: FloatArray, free: IntArray) -> tuple[FloatArray, float, int]:
     """Return the end of a search, the largest error there, dimensionless, and the number of steps."""
     rows, damping, away = kinematics.rows, 1.0, np.zeros(kinematics.rows.model.nv)
-    c = kinematics.residual(q)
-    steps = 0
+    c, steps = _residual(kinematics, q), 0
     while steps < MOST_STEPS:
         steps += 1
         size = float(np.linalg.norm(c))
         if size <= ROUNDING:
             break
-        u, sigma, vt = np.linalg.svd(kinematics.linearised(q).jacobian[:, free], full_matrices=False)
+        u, sigma, vt = np.linalg.svd(kinematics.scaled_jacobian[:, free], full_matrices=False)
         along, decreased = u.T @ c, False
         while damping < 1e8:
             least = LEAST_DAMPING * sigma.max(initial=0.0) ** 2 + 1e-300
@@ -74,7 +70,7 @@ def _search(kinematics: LoopKinematics, q: FloatArray, free: IntArray) -> tuple[
             move *= min(1.0, LONGEST_STEP / max(np.abs(move).max(initial=0.0), 1e-300))
             away[free] = move * rows.units[free]
             tried = pin.integrate(rows.model, q, away)
-            at_tried = kinematics.residual(tried)
+            at_tried = _residual(kinematics, tried)
             if np.linalg.norm(at_tried) < (1.0 - 1e-4) * size:
                 decreased = True
                 break
@@ -85,3 +81,9 @@ def _search(kinematics: LoopKinematics, q: FloatArray, free: IntArray) -> tuple[
             break
         q, c, damping = tried, at_tried, max(damping / 8.0, 1e-3)
     return q, float(np.abs(c).max(initial=0.0)), steps
+
+
+def _residual(kinematics: StateKinematics, q: FloatArray) -> FloatArray:
+    """Return the left sides (m,) at q, dimensionless."""
+    kinematics.evaluate(q)
+    return np.asarray(kinematics.residual / kinematics.row_units)

@@ -5,24 +5,25 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from os import PathLike
 from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
-from scipy.spatial.transform import RigidTransform
 
 from spm_pin.errors import ArgumentError, DescriptionError
 from spm_pin.loops.assembly import assemble
-from spm_pin.loops.closures import Closure, JointEquality, RobotDescription, are_rigid
-from spm_pin.loops.constraint_rows import SCALAR_JOINTS, ConstraintRows, LoopKinematics
-from spm_pin.loops.following import Follower, Problem
+from spm_pin.loops.closures import Closure, JointEquality, RobotDescription
+from spm_pin.loops.constraint_rows import SCALAR_JOINTS, ConstraintRows
+from spm_pin.loops.dynamics_kernel import accelerate
+from spm_pin.loops.following import Follower
 from spm_pin.loops.forward_simulation import LoopMotion, simulate
 from spm_pin.loops.loop_state import LoopState
 from spm_pin.loops.mobility import Mobility, mobility
-from spm_pin.loops.state_kinematics import frame_index, read_vectors
+from spm_pin.loops.state_kinematics import StateKinematics, frame_index, read_vectors
+from spm_pin.loops.tree_kernel import tree_of
 from spm_pin.support.arguments import (
     FloatArray,
     IntArray,
@@ -31,10 +32,10 @@ from spm_pin.support.arguments import (
     check_instance,
     likely_names,
     name_sequence,
-    real_array,
     type_and_value,
     whole_number,
 )
+from spm_pin.support.pose import PoseLike, as_rigid_transform
 
 
 class ClosedChain:
@@ -78,6 +79,9 @@ class ClosedChain:
     --------
     spm_pin.ClosedChain : The serial-parallel manipulator as such a chain.
     """
+
+    dynamics = accelerate
+    """The kernel of forward dynamics, the same for all chains."""
 
     def __init__(
         self,
@@ -132,7 +136,7 @@ class ClosedChain:
                 q0=description.q0,
             )
         except ArgumentError as error:
-            where = f"{error.argument} in {description.source}"
+            where = f"{description.source}, {error.argument}"
             raise DescriptionError(where, error.expected, error.received, error.cause) from error
 
     @classmethod
@@ -153,10 +157,16 @@ class ClosedChain:
         srdf: str | PathLike[str] | None = None,
         held: Sequence[str] = (),
     ) -> Self:
-        """Return the chain of a URDF file, or its text, and its closures; `spm_pin.loops.read_urdf` reads them."""
+        """Return the chain of a URDF file, or its text, and its closures; `spm_pin.loops.read_urdf` reads them.
+
+        A URDF is a tree: one without Drake's tags and mimic joints needs closures, or an empty list to be left open.
+        """
         from spm_pin.loops.read_urdf import read_urdf
 
         description = read_urdf(source, closures, free_base=free_base, actuated=actuated, srdf=srdf)
+        if closures is None and not (description.closures or description.equalities):
+            cause = f"Name the YAML file of {description.source}; closures=[] leaves the tree open"
+            raise ArgumentError("closures", "what closes the loops", "none, and no Drake tags in the URDF", cause)
         return cls.from_description(description, held=held)
 
     @classmethod
@@ -174,7 +184,8 @@ class ClosedChain:
         return cls.from_description(read_sdf(source, actuated=actuated, srdf=srdf), held=held)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _restored, (type(self), self.model, self.closures, self.actuated, self.equalities, self.held, self.q0)
+        restored = partial(type(self), equalities=self.equalities, held=self.held, q0=self.q0)
+        return restored, (self.model, self.closures, self.actuated)
 
     def __repr__(self) -> str:
         loops, joints = len(self.closures), self.model.njoints - 1
@@ -214,7 +225,7 @@ class ClosedChain:
         """
         q = self._read_q(self.q0 if q_guess is None else q_guess, "q_guess", single=True).copy()
         free = np.setdiff1d(np.flatnonzero(self.rows.concerns()), self._held_in_v)
-        return assemble(LoopKinematics(self.rows), q, free)
+        return assemble(StateKinematics(self), q, free)
 
     def forward(self, values: npt.ArrayLike, near: npt.ArrayLike | None = None) -> FloatArray:
         """Return all joint values (..., nq) for those of the actuated joints (..., n) [rad, m].
@@ -237,7 +248,7 @@ class ClosedChain:
         return self._follow(self._follower(None, ()), targets, 1, near, "values")
 
     def inverse(
-        self, frame: str, pose: Any, near: npt.ArrayLike | None = None, rows: Sequence[int] = (0, 1, 2, 3, 4, 5)
+        self, frame: str, pose: PoseLike, near: npt.ArrayLike | None = None, rows: Sequence[int] = (0, 1, 2, 3, 4, 5)
     ) -> FloatArray:
         """Return all joint values (..., nq) that place a frame of the model.
 
@@ -250,8 +261,9 @@ class ClosedChain:
         near : array_like, shape (nq,) or (..., nq)
             Closed configurations to start from, as in `forward`.
         rows : sequence of int
-            Components of the pose to be reached: 0 to 2 the position, 3 to 5 the rotation vector from the frame's
-            orientation to the one given, in the axes of the world.
+            Components of the pose to be reached: 0 to 2 the position in the axes of the world, 3 to 5 the rotation
+            vector to the orientation given, in the axes of the target. Without 5 the frame's z axis is the target's,
+            and its spin is free.
 
         Raises
         ------
@@ -264,32 +276,28 @@ class ClosedChain:
         if not chosen or len(chosen) != len(listed):
             raise ArgumentError("rows", expected, repr(rows))
         frame_index(self.model, frame)
-        return self._follow(self._follower(frame, chosen), _matrices(pose), 2, near, "pose")
+        # To check an SE3, whose rotation is one, would take longer than the path.
+        matrices = np.asarray(pose.homogeneous if isinstance(pose, pin.SE3) else as_rigid_transform(pose).as_matrix())
+        return self._follow(self._follower(frame, chosen), matrices, 2, near, "pose")
 
     def compile(self) -> None:
         """Compile paths, batches and forward dynamics, once for all robots and sessions: half a minute, later a second.
 
-        Batches of `forward` and `inverse`, and large ones of `forward_dynamics`, do so by themselves. A control loop
-        calls this before it starts: its single calls never wait for the compiler, and before compiling take a
-        millisecond instead of some ten microseconds.
+        `forward` and `inverse` do so by themselves after some hundreds of steps in a process, and `forward_dynamics`
+        for large batches. A control loop calls this before it starts, so that no call waits for the compiler.
         """
         self._follower(None, ()).compile()
         self.compile_dynamics()
 
     def compile_dynamics(self) -> None:
         """Compile forward dynamics alone."""
-        from spm_pin.loops.dynamics_kernel import accelerate
-
         zeros = np.zeros(self.model.nv)
-        accelerate.call(self.tree, self.q0.copy(), zeros, zeros.copy(), -1, -1)
+        self.dynamics.call(self.tree, self.q0.copy(), zeros, zeros.copy(), -1, -1)
 
     @cached_property
     def tree(self) -> Any:
         """The chain as arrays for the compiled dynamics, which read them only."""
-        from spm_pin.loops import tree_kernel
-
-        problem = Problem(self.rows, np.arange(self.model.nv), self.actuated_in_q, self.actuated_in_v)
-        return tree_kernel.PlainTree(tree_kernel.tree_of(problem, self._held_in_v))
+        return tree_of(self.rows, np.arange(self.model.nv), self.actuated_in_q, self.actuated_in_v, self._held_in_v)
 
     def state(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> LoopState:
         """Return the `LoopState` at joint values q (..., nq) and velocities v (..., nv), zero by default."""
@@ -335,14 +343,14 @@ class ClosedChain:
     ) -> FloatArray:
         starts = self.close() if near is None else self._read_q(near, "near")
         if starts.ndim == 1 and targets.ndim == axes:
-            return follower.run(starts, targets[None], True).reshape(-1)
+            return follower.run(starts, targets[None], True, ()).reshape(-1)
         batch, is_path = targets.shape[: targets.ndim - axes], starts.ndim == 1
         if not is_path:
             batch = broadcastable(argument, batch, "near", starts.shape[:-1])
             starts = np.broadcast_to(starts, (*batch, self.model.nq)).reshape(math.prod(batch), self.model.nq)
         shape = targets.shape[targets.ndim - axes :]
         targets = np.broadcast_to(targets, (*batch, *shape)).reshape(math.prod(batch), *shape)
-        return follower.run(starts, targets, is_path).reshape(*batch, self.model.nq)
+        return follower.run(starts, targets, is_path, batch).reshape(*batch, self.model.nq)
 
     def joint_of_velocity(self, index: int) -> str:
         """Return the name of the joint that an element of v belongs to."""
@@ -358,20 +366,3 @@ def _members(value: Any, kind: type[Kind], argument: str) -> tuple[Kind, ...]:
     if not isinstance(value, Sequence):
         raise ArgumentError(argument, f"a sequence of {kind.__name__}", type_and_value(value))
     return tuple(check_instance(member, kind, f"{argument}[{k}]") for k, member in enumerate(value))
-
-
-def _matrices(pose: Any) -> FloatArray:
-    """Return the homogeneous matrices (..., 4, 4) of a pose."""
-    if isinstance(pose, pin.SE3):
-        return np.asarray(pose.homogeneous)
-    matrix = pose.as_matrix() if isinstance(pose, RigidTransform) else pose
-    matrices = real_array(matrix, "pose", (4, 4), "homogeneous matrices of poses in the world")
-    if not are_rigid(matrices):
-        raise ArgumentError(
-            "pose", "homogeneous matrices of rigid transforms", "other matrices", "Rotations that are rounded?"
-        )
-    return matrices
-
-
-def _restored(cls: Any, model: Any, closures: Any, actuated: Any, equalities: Any, held: Any, q0: Any) -> Any:
-    return cls(model, closures, actuated, equalities=equalities, held=held, q0=q0)

@@ -9,7 +9,8 @@ import numpy as np
 import pinocchio as pin
 
 from spm_pin.errors import ArgumentError
-from spm_pin.support.arguments import FloatArray, check_instance, choice, real_array, real_number
+from spm_pin.support.arguments import check_instance, choice, real_array, real_number
+from spm_pin.support.pose import checked_pose
 
 ClosureKind = Literal["point", "hinge", "planar", "weld"]
 
@@ -23,18 +24,8 @@ class Anchor:
 
     def __post_init__(self) -> None:
         check_instance(self.frame, str, "frame")
-        matrix = check_instance(self.placement, pin.SE3, "placement").homogeneous
-        if not (np.isfinite(matrix).all() and are_rigid(matrix)):
-            raise ArgumentError("placement", "a rigid transform of finite numbers", f"{matrix.tolist()}")
-
-
-def are_rigid(matrices: FloatArray) -> bool:
-    """Return whether homogeneous matrices (..., 4, 4) of finite numbers are rigid transforms."""
-    rotations = matrices[..., :3, :3]
-    products = rotations @ rotations.swapaxes(-1, -2) - np.eye(3)
-    if np.abs(products).max(initial=0.0) > 1e-9 or (np.linalg.det(rotations) < 0.0).any():
-        return False
-    return bool((matrices[..., 3, :] == [0.0, 0.0, 0.0, 1.0]).all())
+        placement = check_instance(self.placement, pin.SE3, "placement")
+        checked_pose(placement.rotation, placement.translation, "placement")
 
 
 @dataclass(frozen=True, eq=False)

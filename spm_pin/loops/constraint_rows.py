@@ -15,7 +15,7 @@ move them alike and do not contribute. Angles of 180° solve the equations of ax
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -23,8 +23,7 @@ import pinocchio as pin
 from spm_pin.errors import ArgumentError
 from spm_pin.loops.closures import Anchor, Closure, JointEquality
 from spm_pin.loops.links import find_frame
-from spm_pin.loops.point_closures import PointRows
-from spm_pin.support.arguments import BoolArray, FloatArray, IntArray
+from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, likely_names
 
 POSITION, ROTATION, AXIS, FORMS = 0, 3, 6, 8
 """First index of the equations of each form among the eight of a closure, and their number."""
@@ -32,18 +31,6 @@ _FORMS_OF_KIND = {"point": (0, 1, 2), "hinge": (0, 1, 2, 6, 7), "planar": (0, 1)
 _TURNING = ("RX", "RY", "RZ", "RevoluteUnaligned", "PX", "PY", "PZ", "PrismaticUnaligned", "RUBX", "RUBY", "RUBZ")
 SCALAR_JOINTS = "hinges and slides, whose value is one number"
 _JOINT_KINDS = (*_TURNING, "RevoluteUnboundedUnaligned", "Spherical", "Translation", "Planar", "FreeFlyer")
-
-
-class Linearised(NamedTuple):
-    """Equations, scaled to be dimensionless, at one configuration."""
-
-    residual: FloatArray
-    """Left sides (m,)."""
-    jacobian: FloatArray
-    """Derivatives by all joint velocities (m, nv), in units of `ConstraintRows.units`."""
-    levers: FloatArray
-    """Speed of p2 that each velocity brings about, over its entry of `ConstraintRows.turns` if it turns (closures, nv).
-    """
 
 
 class ConstraintRows:
@@ -59,12 +46,14 @@ class ConstraintRows:
         Size of each equation's left side: a fourth of the loop's length [m], or 1 for angles.
     units : ndarray, shape (nv,)
         Size of a step of order one of each velocity: 1 rad, or a fourth of a loop's length [m].
-    signs : ndarray, shape (closures, nv)
-        1 for velocities that move frame 2 alone, -1 for those that move frame 1 alone, 0 for the others.
+    moves, signs : ndarray, shapes (closures, 2, nv) and (closures, nv)
+        1 for velocities that move frames 1 and 2, otherwise 0, and the second less the first.
     turns : ndarray, shape (closures, nv)
         Angular speed of frame 2 against frame 1 that each velocity brings about; it is the same in any configuration.
     lever_scales : ndarray, shape (closures, nv)
-        Factors from the speeds of p2 to `Linearised.levers`.
+        Factors from the speeds of p2, dimensionless, to the levers of `tree_kernel.linearised`.
+    screws : ndarray, shape (2, nv, 3)
+        Velocities and angular velocities of the joints, in their own frames.
     are_lengths : ndarray of bool, shape (m,)
         True for equations in m, False in rad.
     size : float
@@ -81,8 +70,8 @@ class ConstraintRows:
     ) -> None:
         """Read the anchors; `q` is a configuration of typical size, from which loops are measured.
 
-        `pose`, a frame and components, adds equations of a weld between this frame and the universe. Frame 1
-        has the axes of the world, and `placements` follows the target.
+        `pose`, a frame and components, adds equations of a weld between this frame and the universe. Those of the
+        position are along the axes of the world, those of the rotation along the axes of the target.
         """
         for joint in list(model.joints)[1:]:
             if joint.shortname().removeprefix("JointModel") not in _JOINT_KINDS:
@@ -106,11 +95,12 @@ class ConstraintRows:
                 )
             self.joints.append([joint for joint, _ in ends])
             self.placements.append([placement for _, placement in ends])
-        self.signs = np.zeros((len(self.closures), model.nv))
-        for sign, (first, second) in zip(self.signs, self.joints, strict=True):
-            for end, value in ((first, -1.0), (second, 1.0)):
-                for joint in _support(model, end):
-                    sign[model.joints[joint].idx_v : model.joints[joint].idx_v + model.joints[joint].nv] += value
+        self.moves = np.zeros((len(self.closures), 2, model.nv))
+        for moves, carriers in zip(self.moves, self.joints, strict=True):
+            for moved, end in zip(moves, carriers, strict=True):
+                for joint in (model.joints[k] for k in _support(model, end)):
+                    moved[joint.idx_v : joint.idx_v + joint.nv] = 1.0
+        self.signs = self.moves[:, 1] - self.moves[:, 0]
         kinds = [forms_of_pose if k == self.pose else _FORMS_OF_KIND[c.kind] for k, c in enumerate(self.closures)]
         self.forms: IntArray = np.array([FORMS * k + form for k, forms in enumerate(kinds) for form in forms], np.intp)
         self._form_signs = self.signs[self.forms // FORMS]
@@ -125,17 +115,19 @@ class ConstraintRows:
     def _anchor(self, anchor: Any, loop: str) -> tuple[int, Any]:
         frame = find_frame(self.model, anchor.frame)
         if frame is None:
-            raise ArgumentError(f"closure {loop!r}", "frames of the model", repr(anchor.frame))
+            cause = likely_names(anchor.frame, [frame.name for frame in self.model.frames])
+            raise ArgumentError(f"closure {loop!r}", "links or frames of the model", repr(anchor.frame), cause)
         found = self.model.frames[frame]
         return int(found.parentJoint), pin.SE3(found.placement * anchor.placement)
 
     def _read_equalities(self) -> None:
-        """Note where the joints of equalities are, and their polynomials, highest power first."""
+        """Note where the joints of equalities are, and their polynomials, lowest power first."""
         model, places = self.model, []
         for equality in self.equalities:
             for name in (equality.joint, equality.driver):
                 if name is not None and not (model.existJointName(name) and _joint(model, name).nq == 1):
-                    raise ArgumentError("equalities", SCALAR_JOINTS, repr(name))
+                    label = f"{name!r} in that of {equality.joint!r}"
+                    raise ArgumentError("equalities", SCALAR_JOINTS, label, likely_names(name, list(model.names)[1:]))
             driver = _joint(model, equality.driver) if equality.driver is not None else None
             joint = _joint(model, equality.joint)
             places.append([joint.idx_q, joint.idx_v, driver.idx_q if driver else -1, driver.idx_v if driver else -1])
@@ -162,34 +154,22 @@ class ConstraintRows:
             lengths.append(total + float(np.linalg.norm(np.subtract(*origin.values()))))
         self.size = max(lengths, default=0.0) or 1.0
         self.loop_lengths = np.maximum(lengths, 1e-3 * self.size)
-        is_slide = self._subspace()[0]
+        self.screws = _screws(model)
+        angular = self.screws[1]
+        is_slide = (angular == 0.0).all(axis=1)
         self.units = np.ones(model.nv)
         for column in np.flatnonzero(is_slide):
             loops = self.loop_lengths[self.signs[:, column] != 0.0]
             self.units[column] = 0.25 * (loops.min() if len(loops) else self.size)
-        self.turns = np.abs(self.signs) * np.linalg.norm(self.screws[1], axis=1) * self.units
+        self.turns = np.abs(self.signs) * np.linalg.norm(angular, axis=1) * self.units
         self.lever_scales = 4.0 / self.loop_lengths[:, None] / np.where(self.turns > 0.0, self.turns, 1.0)
         units = [0.25 * self.loop_lengths[f // FORMS] if f % FORMS < ROTATION else 1.0 for f in self.forms.tolist()]
         self.row_units = np.array([*units, *self.units[self.equality_places[:, 1]]])
         self.are_lengths = np.concatenate([self.forms % FORMS < ROTATION, is_slide[self.equality_places[:, 1]]])
 
-    def _subspace(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return which velocities are of translations (nv,), and velocities and angular velocities (nv, 3) of each."""
-        linear, angular = np.zeros((2, self.model.nv, 3))
-        data = self.model.createData()
-        for joint, state in list(zip(self.model.joints, data.joints, strict=True))[1:]:
-            columns = slice(joint.idx_v, joint.idx_v + joint.nv)
-            linear[columns], angular[columns] = state.S[:3].T, state.S[3:].T
-        return (angular == 0.0).all(axis=1), linear, angular
-
-    @property
-    def screws(self) -> tuple[FloatArray, FloatArray]:
-        """Velocities and angular velocities (nv, 3) of the joints, in their own frames."""
-        return self._subspace()[1:]
-
     @property
     def are_points(self) -> bool:
-        """True if `PointRows` has all equations."""
+        """True if `point_closures.PointRows` has all equations."""
         kinds = {closure.kind for closure in self.closures}
         return self.pose < 0 and not self.equalities and kinds == {"point"}
 
@@ -226,12 +206,16 @@ class ConstraintRows:
         closures = np.array(forms).T.ravel()[self.forms]
         if not len(self.equalities):
             return np.asarray(closures)
-        joint, driver = q[self.equality_places[:, 0]] - self.zeros[:, 0], self._driver_values(q)
-        return np.concatenate([closures, joint - _polynomial(self.polynomials, driver)])
+        joints = q[self.equality_places[:, 0]] - self.zeros[:, 0]
+        return np.concatenate([closures, joints - self.curves(q, 0)])
 
-    def _driver_values(self, q: FloatArray) -> FloatArray:
+    def curves(self, q: FloatArray, order: int) -> FloatArray:
+        """Return the derivatives of an order of the equalities' polynomials by their drivers (equalities,)."""
         places = self.equality_places[:, 2]
-        return np.where(places >= 0, q[places] - self.zeros[:, 1], 0.0)
+        x = np.where(places >= 0, q[places] - self.zeros[:, 1], 0.0)
+        coefficients = np.polynomial.polynomial.polyder(self.polynomials, order, axis=1)
+        values = np.polynomial.polynomial.polyval(x, coefficients.T, tensor=False)
+        return np.asarray(np.where((places >= 0) | (order == 0), values, 0.0))
 
     def wrenches(self, placed: tuple[FloatArray, ...]) -> FloatArray:
         """Return the wrench about the world's origin (closures' equations, 6) that each equation exerts on frame 2.
@@ -260,23 +244,11 @@ class ConstraintRows:
         rows = self.wrenches(placed) @ data.J * self._form_signs
         if not len(self.equalities):
             return np.asarray(rows)
-        rows = np.concatenate([rows, np.zeros((len(self.equalities), self.model.nv))])
-        for k, (_, joint, place, driver) in enumerate(self.equality_places.tolist()):
-            rows[len(self.forms) + k, joint] = 1.0
-            if place >= 0:
-                slope = _polynomial(
-                    np.polynomial.polynomial.polyder(self.polynomials[k])[None], self._driver_values(q)[k]
-                )
-                rows[len(self.forms) + k, driver] -= slope[0]
-        return rows
-
-    def twists(self, data: Any, placed: tuple[FloatArray, ...]) -> FloatArray:
-        """Return the twists of frames 2 against frames 1 at p2, along the axes of frames 1 (closures, 6, nv)."""
-        first, tip, _ = placed
-        world = data.J * self.signs[:, None, :]
-        linear = world[:, :3] - np.cross(tip[:, :, None], world[:, 3:], axis=1)
-        axes = first.swapaxes(1, 2)
-        return np.concatenate([axes @ linear, axes @ world[:, 3:]], axis=1)
+        follow = np.zeros((len(self.equalities), self.model.nv))
+        for row, (_, joint, _, driver), slope in zip(follow, self.equality_places, self.curves(q, 1), strict=True):
+            row[joint] = 1.0
+            row[driver] -= slope
+        return np.concatenate([rows, follow])
 
     def is_reversed(self, relative: FloatArray) -> list[str]:
         """Return the names of hinges and welds that hold the wrong way round: by 180°."""
@@ -286,51 +258,29 @@ class ConstraintRows:
                 reversed_axes.append(name)
         return reversed_axes
 
+    def widest(self, sides: FloatArray) -> tuple[float, str, str]:
+        """Return the distance or angle by which the worst loop or equality is open, its unit and name.
 
-class LoopKinematics:
-    """Equations of a `ConstraintRows` at one configuration after another, and the `pinocchio.Data` they use."""
-
-    def __init__(self, rows: ConstraintRows) -> None:
-        self.rows, self.data = rows, rows.model.createData()
-        self._points = PointRows(rows) if rows.are_points else None
-        self._columns = rows.units / rows.row_units[:, None]
-
-    def residual(self, q: FloatArray) -> FloatArray:
-        """Return the left sides (m,), dimensionless."""
-        pin.forwardKinematics(self.rows.model, self.data, q)
-        if self._points is not None:
-            self._points.update(self.data)
-            return np.asarray(self._points.residual() / self.rows.row_units)
-        relative = self.rows.placements_of(self.data)[2]
-        return np.asarray(self.rows.left_sides(q, relative) / self.rows.row_units)
-
-    def linearised(self, q: FloatArray) -> Linearised:
-        """Return the left sides and their derivatives, dimensionless."""
-        rows = self.rows
-        pin.computeJointJacobians(rows.model, self.data, q)
-        placed = rows.placements_of(self.data)
-        jacobian = rows.jacobian(q, self.data, placed)
-        scaled = rows.twists(self.data, placed) * rows.units
-        levers = np.sqrt((scaled[:, :3] ** 2).sum(axis=1)) * rows.lever_scales
-        return Linearised(rows.left_sides(q, placed[2]) / rows.row_units, jacobian * self._columns, levers)
-
-    def widest(self, q: FloatArray) -> tuple[float, str, str]:
-        """Return the distance or angle by which the worst loop or equality is open, its unit and name."""
-        rows = self.rows
-        pin.forwardKinematics(rows.model, self.data, q)
-        sides = np.abs(rows.left_sides(q, rows.placements_of(self.data)[2]))
-        if not len(sides):
+        `sides` (m,) are the left sides in m and rad, others may follow.
+        """
+        if not self.count:
             return 0.0, "m", ""
-        worst = int(np.argmax(sides / rows.row_units))
-        owners = np.concatenate([rows.forms // FORMS, -1 - np.arange(len(rows.equalities))])
-        is_length = bool(rows.are_lengths[worst])
-        alike = (owners == owners[worst]) & (rows.are_lengths == is_length)
-        return float(np.linalg.norm(sides[alike])), "m" if is_length else "rad", rows.labels[worst]
+        sides = np.abs(sides[: self.count])
+        worst = int(np.argmax(sides / self.row_units))
+        owners = np.concatenate([self.forms // FORMS, -1 - np.arange(len(self.equalities))])
+        is_length = bool(self.are_lengths[worst])
+        alike = (owners == owners[worst]) & (self.are_lengths == is_length)
+        return float(np.linalg.norm(sides[alike])), "m" if is_length else "rad", self.labels[worst]
 
 
-def _polynomial(coefficients: FloatArray, x: FloatArray) -> FloatArray:
-    """Return the values of polynomials (n, degree + 1), lowest power first, at x (n,)."""
-    return np.asarray(np.polynomial.polynomial.polyval(x, coefficients.T, tensor=False))
+def _screws(model: Any) -> FloatArray:
+    """Return velocities and angular velocities (2, nv, 3) of all joints, in their own frames."""
+    linear, angular = screws = np.zeros((2, model.nv, 3))
+    data = model.createData()
+    for joint, state in list(zip(model.joints, data.joints, strict=True))[1:]:
+        columns = slice(joint.idx_v, joint.idx_v + joint.nv)
+        linear[columns], angular[columns] = state.S[:3].T, state.S[3:].T
+    return screws
 
 
 def _joint(model: Any, name: str) -> Any:

@@ -37,20 +37,24 @@ errors, which are estimated. For ball, planar and free joints, whose displacemen
 thumb. Where c = 0 has rows that depend on others, a solution of A c = 0 is one of c = 0 as long as they do so; that c
 is zero is checked at the end of each step.
 
-The functions run in two ways, compiled on arrays and interpreted on Pinocchio; `make_follower` takes the functions that
-differ.
+The functions run in two ways, interpreted and compiled, of which two parts of linear algebra differ.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
+from scipy.linalg import lapack
 
-DONE, SINGULAR_START, NO_FURTHER, OPEN_START = 0, 1, 2, 3
-"""Status of a path: target reached, Jacobian singular at the start, end before the target, loops open at the start."""
+from spm_pin.loops import tree_kernel
+from spm_pin.loops.kernel import Kernel, compiled_as, jit
+from spm_pin.loops.tree_kernel import aim, linearised, moved, residual
+from spm_pin.support.arguments import FloatArray
+
+DONE, SINGULAR_START, NO_FURTHER, OPEN_START, UNFINISHED = range(5)
+"""Status of a path: target reached, Jacobian singular at the start, end before the target, loops open at the start, and
+no steps left."""
 LONGEST = 1.0
 """Largest step tried in any joint, dimensionless: in rad, or in units of `ConstraintRows.units`."""
 SHORTEST_STEP = 1e-7
@@ -80,299 +84,376 @@ MOST_BOXES, HOPELESS = 8, 3.0
 """Boxes tried, and their largest radius, dimensionless; at turns of 9 rad in all bounds are far beyond it."""
 
 
-def same(function: Any) -> Any:
-    """Return the function: it is interpreted."""
-    return function
+def left_inverse(jacobian: FloatArray) -> tuple[FloatArray, bool]:
+    """Return (Jᵀ J)⁻¹ Jᵀ, and whether J (m, p) has full column rank."""
+    rows, columns = jacobian.shape
+    if not columns:
+        return np.zeros((0, rows)), True
+    factor, info = lapack.dpotrf(jacobian.T @ jacobian)
+    diagonal = factor.diagonal().tolist()
+    if info or min(diagonal) <= REGULAR * max(diagonal):
+        return np.zeros((columns, rows)), False
+    return np.asarray(lapack.dpotrs(factor, jacobian.T)[0]), True
 
 
-def make_follower(
-    residual: Callable[..., Any],
-    linearised: Callable[..., Any],
-    moved: Callable[..., Any],
-    left_inverse: Callable[..., Any],
-    product: Callable[..., Any],
-    jit: Callable[[Any], Any] = same,
-) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """Return two functions: `begin(problem, q)` checks a start, `go_on` follows the path to the problem's target.
+@compiled_as(left_inverse)
+def _left_inverse(jacobian):  # type: ignore[no-untyped-def]
+    """Return (Jᵀ J)⁻¹ Jᵀ by Cholesky's factorisation UᵀU, and whether J has full column rank.
 
-    Parameters
-    ----------
-    residual : callable
-        c (m,) of (problem, q, s).
-    linearised : callable
-        c, J (m, p), and levers and turns (closures, nv) of (problem, q, s).
-    moved : callable
-        q of (problem, q, s, x): after unknown joints have moved by x (p,) from q, and with driven joints at s.
-    left_inverse : callable
-        A (p, m) of J, and whether J is of full column rank.
-    product : callable
-        Product of a matrix and a vector.
-    jit : callable
-        Applied to each function: Numba's compiler, or nothing.
+    The inner loops add multiples of rows, which the compiler vectorises, and leave out those of zero, which are many.
     """
+    rows, columns = jacobian.shape
+    inverse, upper, largest = jacobian.T.copy(), np.zeros((columns, columns)), 0.0
+    for row in range(rows):
+        for i in range(columns):
+            if jacobian[row, i] != 0.0:
+                for k in range(i, columns):
+                    upper[i, k] += jacobian[row, i] * jacobian[row, k]
+    for i in range(columns):
+        if not upper[i, i] > 0.0:
+            return inverse, False
+        pivot = math.sqrt(upper[i, i])
+        largest, factor = max(largest, pivot), 1.0 / pivot
+        for k in range(i, columns):
+            upper[i, k] *= factor
+        for row in range(rows):
+            inverse[i, row] *= factor
+        for j in range(i + 1, columns):
+            factor = upper[i, j]
+            if factor != 0.0:
+                for k in range(j, columns):
+                    upper[j, k] -= factor * upper[i, k]
+                for row in range(rows):
+                    inverse[j, row] -= factor * inverse[i, row]
+    for i in range(columns - 1, -1, -1):
+        if not upper[i, i] > REGULAR * largest:
+            return inverse, False
+        for j in range(i + 1, columns):
+            factor = upper[i, j]
+            if factor != 0.0:
+                for row in range(rows):
+                    inverse[i, row] -= factor * inverse[j, row]
+        factor = 1.0 / upper[i, i]
+        for row in range(rows):
+            inverse[i, row] *= factor
+    return inverse, True
 
-    @jit
-    def largest(vector):  # type: ignore[no-untyped-def]
-        return np.abs(vector).max() if len(vector) else 0.0
 
-    @jit
-    def point(x, bend, t):  # type: ignore[no-untyped-def]
-        """Return a point of a parabola from 0 to x, which is beside the chord by `bend` in its middle."""
-        return t * x + 4.0 * t * (1.0 - t) * bend
+def product(matrix: FloatArray, vector: FloatArray) -> FloatArray:
+    """Return the product of a matrix and a vector."""
+    return np.asarray(matrix.dot(vector))
 
-    @jit
-    def derivative(u, g, w, v, a, b):  # type: ignore[no-untyped-def]
-        """Return the derivative of exp(u t + g t² / 2 + w y + v z) at 0, a times by t and by the first b of y, z."""
-        last, result = 0.0, 1.0
-        for k in range(a):
-            last, result = result, u * result + k * g * last
-        return result if b == 0 else result * w if b == 1 else result * w * v
 
-    @jit
-    def of_polynomial(problem, k, u, g, w, v, a, b):  # type: ignore[no-untyped-def]
-        """Return the bound that `bounds` writes for a joint equality; its driver is at `drivers[k]` at the start."""
-        driver = problem.equality_places[k, 3]
-        if driver < 0:
-            return 0.0
-        unit, total, share = problem.units[driver], 0.0, 1.0
-        rate, bend, beside, further = unit * u[driver], unit * g[driver], unit * w[driver], unit * v[driver]
-        far = abs(problem.drivers[k]) + rate + further
-        for twice in range(a // 2 + 1):
-            # Faà di Bruno's formula for a polynomial of x(t), whose third derivative is zero.
-            order, slope = a - twice + b, 0.0
-            for power in range(problem.polynomials.shape[1] - 1, order - 1, -1):
-                factor = abs(problem.polynomials[k, power])
-                for i in range(order):
-                    factor *= power - i
-                slope = slope * far + factor
-            total += share * slope * rate ** (a - 2 * twice) * bend**twice
-            share *= (a - 2 * twice) * (a - 2 * twice - 1) / (2.0 * (twice + 1))
-        total *= 1.0 if b == 0 else beside if b == 1 else beside * further
-        return total / problem.row_units[len(problem.forms) + k]
+# The order of sums does not matter, so that the compiler vectorises them.
+@compiled_as(product, fastmath={"reassoc", "contract"})
+def _product(matrix, vector):  # type: ignore[no-untyped-def]
+    """Return the product of a small matrix and a vector, in a fraction of the time of a call to BLAS."""
+    result = np.empty(len(matrix))
+    for i in range(len(matrix)):
+        total = 0.0
+        for k in range(len(vector)):
+            total += matrix[i, k] * vector[k]
+        result[i] = total
+    return result
 
-    @jit
-    def bounds(problem, levers, turns, path, w, a, b, reach, found):  # type: ignore[no-untyped-def]
-        """Write bounds (n,) of derivatives of positions, angles and equalities: a times by t, by the first b of w.
 
-        `path` (2, nv) has u and g, `w` (2, nv) displacements beside the curve. Levers are those at a share `reach` of
-        the curve, and at the second w, from where bounds are to hold.
-        """
-        u, g, w, v, loops = path[0], path[1], w[0], w[1], len(problem.first_rows)
-        for k in range(loops):
-            total, motion, all_u, all_g, all_w, all_v = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            if k == problem.pose:
-                # A pose to be reached turns like one joint more; it does not move the frame's place.
-                all_u = problem.pose_turn[0] * problem.pose_share[0]
-            before = derivative(all_u, all_g, all_w, all_v, a, b)
-            for place in range(problem.first_columns[k], problem.first_columns[k + 1]):
-                j = problem.loop_columns[place]
-                turn, lever = turns[k, j], levers[k, j]
-                if turn > 0.0:
-                    motion += lever * turn * (reach * u[j] + v[j])
-                    all_u, all_g = all_u + turn * u[j], all_g + turn * g[j]
-                    all_w, all_v = all_w + turn * w[j], all_v + turn * v[j]
-                    after = derivative(all_u, all_g, all_w, all_v, a, b)
-                    total += lever * (after - before)
-                    before = after
-                else:
-                    # Without a turn before, a slide has no part in higher derivatives.
-                    motion += lever * (reach * u[j] + v[j])
-                    if a > 0:
-                        total += lever * a * derivative(all_u, all_g, all_w, all_v, a - 1, b) * u[j]
-                    if a > 1:
-                        total += lever * (a * (a - 1) // 2) * derivative(all_u, all_g, all_w, all_v, a - 2, b) * g[j]
-                    if b == 1:
-                        total += lever * derivative(all_u, all_g, all_w, all_v, a, 0) * w[j]
-                    if b == 2:
-                        total += lever * derivative(all_u, all_g, all_w, all_v, a, 0) * (w[j] * all_v + v[j] * all_w)
-            found[k] = total + math.exp(min(reach * all_u + all_v, 9.0)) * motion * before
-            found[loops + k] = before
-        for k in range(len(problem.zeros)):
-            found[2 * loops + k] = of_polynomial(problem, k, u, g, w, v, a, b)
+@jit
+def _largest(vector):  # type: ignore[no-untyped-def]
+    return np.abs(vector).max() if len(vector) else 0.0
 
-    @jit
-    def sizes_of(problem, inverse):  # type: ignore[no-untyped-def]
-        """Return sizes (p, n) of the parts of A that multiply positions and angles of closures, and equalities."""
-        count, loops = len(problem.columns), len(problem.first_rows)
-        sizes = np.zeros((count, 2 * loops + len(problem.zeros)))
-        for i in range(count):
-            for k in range(loops):
-                first, squares = problem.first_rows[k], 0.0
-                between = first + problem.position_counts[k]
-                for row in range(first, between):
-                    squares += inverse[i, row] * inverse[i, row]
-                sizes[i, k] = math.sqrt(squares)
-                for row in range(between, first + problem.row_counts[k]):
-                    sizes[i, loops + k] += abs(inverse[i, row])
-            for k in range(len(problem.zeros)):
-                sizes[i, 2 * loops + k] = abs(inverse[i, len(problem.forms) + k])
-        return sizes
 
-    @jit
-    def box(problem, sizes, levers, turns, path, eta, change, weight, power, reach, off):  # type: ignore[no-untyped-def]
-        """Return whether some radii satisfy the inequality, and by which factor a step may be longer or be shorter.
+@jit
+def _point(x, bend, t):  # type: ignore[no-untyped-def]
+    """Return a point of a parabola from 0 to x, which is beside the chord by `bend` in its middle."""
+    return t * x + 4.0 * t * (1.0 - t) * bend
 
-        `change` bounds |A J - 1| on the curve, beside what `weight` times derivatives, `power` times by t, add; it is
-        empty where A J = 1. J and levers are those at a distance of up to `off` from there.
-        """
-        w, radii = np.zeros(path.shape), 1.5 * eta + 0.01 * eta.max()
-        fits, last, first, second = False, np.inf, 0.0, 0.0
-        bound = np.empty(sizes.shape[1])
-        for _ in range(MOST_BOXES):
-            for i in range(len(radii)):
-                w[0, problem.columns[i]], w[1, problem.columns[i]] = radii[i], radii[i] + off
-            bounds(problem, levers, turns, path, w, power, 1, reach, bound)
-            linear = product(sizes, bound)
-            linear *= weight
-            if len(change) > 0:
-                linear += product(change, radii)
-            bounds(problem, levers, turns, path, w, 0, 2, reach, bound)
-            square = product(sizes, bound)
-            used, widest = 0.0, 0.0
-            for i in range(len(radii)):
-                total = eta[i] + linear[i] + square[i]
-                widest = max(widest, total)
-                # NaN stays.
-                if used == used and not total <= used * radii[i]:
-                    # Linear and quadratic part in the length of the step, of the row with the least margin.
-                    used, first, second = total / radii[i], linear[i] / radii[i], square[i] / radii[i] + 1e-9
-                linear[i] = 1.2 * total
-            fits = used <= 1.0
-            if fits or not used < last or not widest < HOPELESS:
-                break
-            last, radii = used, linear
-        return fits, 1.2 / (first + math.sqrt(first * first + 2.4 * second))
 
-    @jit
-    def safety(problem, q, done, end, x, size, jacobian, at_start, at_end, inverse, levers, turns, off):  # type: ignore[no-untyped-def]
-        """Return whether a step is safe, and the factor of the next one.
+@jit
+def _derivative(u, g, w, v, a, b):  # type: ignore[no-untyped-def]
+    """Return the derivative of exp(u t + g t² / 2 + w y + v z) at 0, a times by t and by the first b of y, z."""
+    last, result = 0.0, 1.0
+    for k in range(a):
+        last, result = result, u * result + k * g * last
+    return result if b == 0 else result * w if b == 1 else result * w * v
 
-        J is of places at a distance of up to `off`, dimensionless, from the start and the end of the step.
-        """
-        count = len(problem.columns)
-        path, w = np.zeros((2, len(problem.driven_rates))), np.zeros((2, len(problem.driven_rates)))
-        path[0] = np.abs(problem.driven_rates) * (end - done)
-        problem.pose_share[0] = end - done
-        for i in range(count):
-            path[0, problem.columns[i]], w[1, problem.columns[i]] = abs(x[i]), off
-        for k in range(len(problem.zeros)):
-            place = problem.equality_places[k, 2]
-            problem.drivers[k] = q[place] - problem.zeros[k, 1] if place >= 0 else 0.0
-        bound = np.empty(2 * len(problem.first_rows) + len(problem.zeros))
-        if size <= SHORT:
-            sizes = sizes_of(problem, inverse)
-            bounds(problem, levers, turns, path, w, 2, 0, 1.0, bound)
-            eta = 0.125 * product(sizes, bound) + ROUNDING
-            fits, factor = box(problem, sizes, levers, turns, path, eta, np.empty((0, 0)), 1.0, 1, 1.0, off)
-            if fits:
-                return fits, factor
-        half, mean = 0.5 * (done + end), 0.5 * (at_start + inverse)
-        bend = -product(mean, residual(problem, moved(problem, q, half, 0.5 * x), half))
-        for i in range(count):
-            path[0, problem.columns[i]] += 4.0 * abs(bend[i])
-            path[1, problem.columns[i]] = 8.0 * abs(bend[i])
-        c, middle, levers, turns = linearised(problem, moved(problem, q, half, point(x, bend, 0.5)), half)
-        errors = np.abs(product(mean, c))
-        for t in (0.25, 0.75):
-            s = done + t * (end - done)
-            along = product(mean, residual(problem, moved(problem, q, s, point(x, bend, t)), s))
-            errors = np.maximum(errors, np.abs(along))
-        sizes = sizes_of(problem, mean)
-        bounds(problem, levers, turns, path, w, 5, 0, 0.5, bound)
-        eta = INNER * errors + QUINTIC * product(sizes, bound) + ROUNDING
-        first, between, last = mean @ jacobian, mean @ middle, mean @ at_end
-        for i in range(count):
-            first[i, i] -= 1.0
-            between[i, i] -= 1.0
-            last[i, i] -= 1.0
-        change = np.maximum(np.abs(first), np.abs(last)) + np.abs(between)
-        return box(problem, sizes, levers, turns, path, eta, change, CUBIC, 3, 0.5, off)
 
-    @jit
-    def step(problem, q, done, end, jacobian, inverse, off):  # type: ignore[no-untyped-def]
-        """Return whether a step is safe, q, J, A and their distance at its end, its size, and the next one's factor."""
-        x = np.zeros(len(problem.columns))
-        tried = moved(problem, q, end, x)
-        change = -product(inverse, residual(problem, tried, end))
-        size = largest(change)
-        if not size <= LONGEST:
-            return False, q, jacobian, inverse, off, size, 0.5 * LONGEST / size
-        # A whole turn of a driven joint changes no other, and is a long step all the same.
-        extent = max(size, (end - done) * max(largest(problem.driven_rates), problem.pose_turn[0]))
-        x += change
-        tried, last = moved(problem, tried, end, change), max(size, 1e-300)
-        if size > SHORT:
-            change = -product(inverse, residual(problem, tried, end))
-            if not largest(change) <= 0.5 * size:
-                return False, q, jacobian, inverse, off, extent, 0.5
-            x += change
-            tried = moved(problem, tried, end, change)
-        c, at_end, levers, turns = linearised(problem, tried, end)
-        new, regular = left_inverse(at_end)
-        if not regular:
-            return False, q, jacobian, inverse, off, extent, 0.5
-        converged, away = False, 0.0
-        for _ in range(MOST_CORRECTIONS):
-            change = -product(new, c)
-            correction = largest(change)
-            shrinks = correction <= 0.5 * last
-            if not (shrinks or correction <= NOISE):
-                break
-            x += change
-            away += correction
-            tried = moved(problem, tried, end, change)
-            # The next correction is smaller by as much again: below rounding it is left out.
-            if not shrinks or correction * min(1.0, correction / last) <= ROUNDING:
-                c += product(at_end, change)
-                converged = largest(c) <= CLOSED
-                break
-            last = max(correction, 1e-300)
-            if correction > FAR:
-                c, at_end, levers, turns = linearised(problem, tried, end)
-                new, regular = left_inverse(at_end)
-                if not regular:
-                    break
-                away = 0.0
+@jit
+def _of_polynomial(tree, k, u, g, w, v, a, b):  # type: ignore[no-untyped-def]
+    """Return the bound that `bounds` writes for a joint equality; its driver is at `drivers[k]` at the start."""
+    driver = tree.equality_places[k, 3]
+    if driver < 0:
+        return 0.0
+    unit, total, share = tree.units[driver], 0.0, 1.0
+    rate, bend, beside, further = unit * u[driver], unit * g[driver], unit * w[driver], unit * v[driver]
+    far = abs(tree.drivers[k]) + rate + further
+    for twice in range(a // 2 + 1):
+        # Faà di Bruno's formula for a polynomial of x(t), whose third derivative is zero.
+        order, slope = a - twice + b, 0.0
+        for power in range(tree.polynomials.shape[1] - 1, order - 1, -1):
+            factor = abs(tree.polynomials[k, power])
+            for i in range(order):
+                factor *= power - i
+            slope = slope * far + factor
+        total += share * slope * rate ** (a - 2 * twice) * bend**twice
+        share *= (a - 2 * twice) * (a - 2 * twice - 1) / (2.0 * (twice + 1))
+    total *= 1.0 if b == 0 else beside if b == 1 else beside * further
+    return total / tree.row_units[len(tree.forms) + k]
+
+
+@jit
+def _bounds(tree, levers, path, w, a, b, reach, found):  # type: ignore[no-untyped-def]
+    """Write bounds (n,) of derivatives of positions, angles and equalities: a times by t, by the first b of w.
+
+    `path` (2, nv) has u and g, `w` (2, nv) displacements beside the curve. Levers are those at a share `reach` of
+    the curve, and at the second w, from where bounds are to hold.
+    """
+    u, g, w, v, loops = path[0], path[1], w[0], w[1], len(tree.first_rows)
+    for k in range(loops):
+        total, motion, all_u, all_g, all_w, all_v = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        if k == tree.pose:
+            # A pose to be reached turns like one joint more; it does not move the frame's place.
+            all_u = tree.pose_turn[0] * tree.pose_share[0]
+        before = _derivative(all_u, all_g, all_w, all_v, a, b)
+        for place in range(tree.first_columns[k], tree.first_columns[k + 1]):
+            j = tree.loop_columns[place]
+            turn, lever = tree.turns[k, j], levers[k, j]
+            if turn > 0.0:
+                motion += lever * turn * (reach * u[j] + v[j])
+                all_u, all_g = all_u + turn * u[j], all_g + turn * g[j]
+                all_w, all_v = all_w + turn * w[j], all_v + turn * v[j]
+                after = _derivative(all_u, all_g, all_w, all_v, a, b)
+                total += lever * (after - before)
+                before = after
             else:
-                c = residual(problem, tried, end)
-        if not converged:
+                # Without a turn before, a slide has no part in higher derivatives.
+                motion += lever * (reach * u[j] + v[j])
+                if a > 0:
+                    total += lever * a * _derivative(all_u, all_g, all_w, all_v, a - 1, b) * u[j]
+                if a > 1:
+                    total += lever * (a * (a - 1) // 2) * _derivative(all_u, all_g, all_w, all_v, a - 2, b) * g[j]
+                if b == 1:
+                    total += lever * _derivative(all_u, all_g, all_w, all_v, a, 0) * w[j]
+                if b == 2:
+                    total += lever * _derivative(all_u, all_g, all_w, all_v, a, 0) * (w[j] * all_v + v[j] * all_w)
+        found[k] = total + math.exp(min(reach * all_u + all_v, 9.0)) * motion * before
+        found[loops + k] = before
+    for k in range(len(tree.zeros)):
+        found[2 * loops + k] = _of_polynomial(tree, k, u, g, w, v, a, b)
+
+
+@jit
+def _sizes_of(tree, inverse):  # type: ignore[no-untyped-def]
+    """Return sizes (p, n) of the parts of A that multiply positions and angles of closures, and equalities."""
+    count, loops = len(tree.columns), len(tree.first_rows)
+    sizes = np.zeros((count, 2 * loops + len(tree.zeros)))
+    for i in range(count):
+        for k in range(loops):
+            first, squares = tree.first_rows[k], 0.0
+            between = first + tree.position_counts[k]
+            for row in range(first, between):
+                squares += inverse[i, row] * inverse[i, row]
+            sizes[i, k] = math.sqrt(squares)
+            for row in range(between, first + tree.row_counts[k]):
+                sizes[i, loops + k] += abs(inverse[i, row])
+        for k in range(len(tree.zeros)):
+            sizes[i, 2 * loops + k] = abs(inverse[i, len(tree.forms) + k])
+    return sizes
+
+
+@jit
+def _box(tree, sizes, levers, path, eta, change, weight, power, reach, off):  # type: ignore[no-untyped-def]
+    """Return whether some radii satisfy the inequality, and by which factor a step may be longer or be shorter.
+
+    `change` bounds |A J - 1| on the curve, beside what `weight` times derivatives, `power` times by t, add; it is
+    empty where A J = 1. J and levers are those at a distance of up to `off` from there.
+    """
+    w, radii = np.zeros(path.shape), 1.5 * eta + 0.01 * eta.max()
+    fits, last, first, second = False, np.inf, 0.0, 0.0
+    bound = np.empty(sizes.shape[1])
+    for _ in range(MOST_BOXES):
+        for i in range(len(radii)):
+            w[0, tree.columns[i]], w[1, tree.columns[i]] = radii[i], radii[i] + off
+        _bounds(tree, levers, path, w, power, 1, reach, bound)
+        linear = product(sizes, bound)
+        linear *= weight
+        if len(change) > 0:
+            linear += product(change, radii)
+        _bounds(tree, levers, path, w, 0, 2, reach, bound)
+        square = product(sizes, bound)
+        used, widest = 0.0, 0.0
+        for i in range(len(radii)):
+            total = eta[i] + linear[i] + square[i]
+            widest = max(widest, total)
+            # NaN stays.
+            if used == used and not total <= used * radii[i]:
+                # Linear and quadratic part in the length of the step, of the row with the least margin.
+                used, first, second = total / radii[i], linear[i] / radii[i], square[i] / radii[i] + 1e-9
+            linear[i] = 1.2 * total
+        fits = used <= 1.0
+        if fits or not used < last or not widest < HOPELESS:
+            break
+        last, radii = used, linear
+    return fits, 1.2 / (first + math.sqrt(first * first + 2.4 * second))
+
+
+@jit
+def _safety(tree, q, done, end, x, size, jacobian, at_start, at_end, inverse, levers, off):  # type: ignore[no-untyped-def]
+    """Return whether a step is safe, and the factor of the next one.
+
+    J is of places at a distance of up to `off`, dimensionless, from the start and the end of the step.
+    """
+    count = len(tree.columns)
+    path, w = np.zeros((2, len(tree.driven_rates))), np.zeros((2, len(tree.driven_rates)))
+    path[0] = np.abs(tree.driven_rates) * (end - done)
+    tree.pose_share[0] = end - done
+    for i in range(count):
+        path[0, tree.columns[i]], w[1, tree.columns[i]] = abs(x[i]), off
+    for k in range(len(tree.zeros)):
+        place = tree.equality_places[k, 2]
+        tree.drivers[k] = q[place] - tree.zeros[k, 1] if place >= 0 else 0.0
+    bound = np.empty(2 * len(tree.first_rows) + len(tree.zeros))
+    if size <= SHORT:
+        sizes = _sizes_of(tree, inverse)
+        _bounds(tree, levers, path, w, 2, 0, 1.0, bound)
+        eta = 0.125 * product(sizes, bound) + ROUNDING
+        fits, factor = _box(tree, sizes, levers, path, eta, np.empty((0, 0)), 1.0, 1, 1.0, off)
+        if fits:
+            return fits, factor
+    half, mean = 0.5 * (done + end), 0.5 * (at_start + inverse)
+    bend = -product(mean, residual(tree, moved(tree, q, half, 0.5 * x), half))
+    for i in range(count):
+        path[0, tree.columns[i]] += 4.0 * abs(bend[i])
+        path[1, tree.columns[i]] = 8.0 * abs(bend[i])
+    c, middle, levers = linearised(tree, moved(tree, q, half, _point(x, bend, 0.5)), half)
+    errors = np.abs(product(mean, c))
+    for t in (0.25, 0.75):
+        s = done + t * (end - done)
+        along = product(mean, residual(tree, moved(tree, q, s, _point(x, bend, t)), s))
+        errors = np.maximum(errors, np.abs(along))
+    sizes = _sizes_of(tree, mean)
+    _bounds(tree, levers, path, w, 5, 0, 0.5, bound)
+    eta = INNER * errors + QUINTIC * product(sizes, bound) + ROUNDING
+    first, between, last = mean @ jacobian, mean @ middle, mean @ at_end
+    for i in range(count):
+        first[i, i] -= 1.0
+        between[i, i] -= 1.0
+        last[i, i] -= 1.0
+    change = np.maximum(np.abs(first), np.abs(last)) + np.abs(between)
+    return _box(tree, sizes, levers, path, eta, change, CUBIC, 3, 0.5, off)
+
+
+@jit
+def _step(tree, q, done, end, jacobian, inverse, off):  # type: ignore[no-untyped-def]
+    """Return whether a step is safe, q, J, A and their distance at its end, its size, and the next one's factor."""
+    x = np.zeros(len(tree.columns))
+    tried = moved(tree, q, end, x)
+    change = -product(inverse, residual(tree, tried, end))
+    size = _largest(change)
+    if not size <= LONGEST:
+        return False, q, jacobian, inverse, off, size, 0.5 * LONGEST / size
+    # A whole turn of a driven joint changes no other, and is a long step all the same.
+    extent = max(size, (end - done) * max(_largest(tree.driven_rates), tree.pose_turn[0]))
+    x += change
+    tried, last = moved(tree, tried, end, change), max(size, 1e-300)
+    if size > SHORT:
+        change = -product(inverse, residual(tree, tried, end))
+        if not _largest(change) <= 0.5 * size:
             return False, q, jacobian, inverse, off, extent, 0.5
-        if extent <= NOISE or len(x) == 0:
-            return True, tried, at_end, new, away, extent, 4.0
-        safe, factor = safety(
-            problem, q, done, end, x, size, jacobian, inverse, at_end, new, levers, turns, max(off, away)
-        )
-        return safe, tried, at_end, new, away, extent, factor
+        x += change
+        tried = moved(tree, tried, end, change)
+    c, at_end, levers = linearised(tree, tried, end)
+    new, regular = left_inverse(at_end)
+    if not regular:
+        return False, q, jacobian, inverse, off, extent, 0.5
+    converged, away = False, 0.0
+    for _ in range(MOST_CORRECTIONS):
+        change = -product(new, c)
+        correction = _largest(change)
+        shrinks = correction <= 0.5 * last
+        if not (shrinks or correction <= NOISE):
+            break
+        x += change
+        away += correction
+        tried = moved(tree, tried, end, change)
+        # The next correction is smaller by as much again: below rounding it is left out.
+        if not shrinks or correction * min(1.0, correction / last) <= ROUNDING:
+            c += product(at_end, change)
+            converged = _largest(c) <= CLOSED
+            break
+        last = max(correction, 1e-300)
+        if correction > FAR:
+            c, at_end, levers = linearised(tree, tried, end)
+            new, regular = left_inverse(at_end)
+            if not regular:
+                break
+            away = 0.0
+        else:
+            c = residual(tree, tried, end)
+    if not converged:
+        return False, q, jacobian, inverse, off, extent, 0.5
+    if extent <= NOISE or len(x) == 0:
+        return True, tried, at_end, new, away, extent, 4.0
+    safe, factor = _safety(tree, q, done, end, x, size, jacobian, inverse, at_end, new, levers, max(off, away))
+    return safe, tried, at_end, new, away, extent, factor
 
-    @jit
-    def go_on(problem, q, jacobian, inverse, off):  # type: ignore[no-untyped-def]
-        """Return q, J, A, the distance of J and A from q, the status, the share reached and the number of steps.
 
-        J and A at the start are known, at a distance of up to `off`. Those returned can begin the next path.
-        """
-        done, share, steps = 0.0, 1.0, 0
-        while done < 1.0:
-            end = done + share
-            if end > 1.0 - 1e-12:
-                end = 1.0
-            accepted, reached, at_end, new, away, size, factor = step(problem, q, done, end, jacobian, inverse, off)
-            steps += 1
-            if accepted:
-                q, jacobian, inverse, off, done = reached, at_end, new, away, end
-                share *= max(0.5, min(4.0, factor))
-                continue
-            share *= max(0.1, min(0.7, factor)) if factor == factor else 0.1
-            if share < SHORTEST_SHARE or size < SHORTEST_STEP:
-                return q, jacobian, inverse, off, NO_FURTHER, done, steps
-        return q, jacobian, inverse, off, DONE, done, steps
+@jit
+def _go_on(tree, q, jacobian, inverse, off):  # type: ignore[no-untyped-def]
+    """Return q, J, A, the distance of J and A from q, the status, the share reached and the number of steps.
 
-    @jit
-    def begin(problem, q):  # type: ignore[no-untyped-def]
-        """Return the status of a start, and J and A there."""
-        c, jacobian, _, _ = linearised(problem, q, 0.0)
-        inverse, regular = left_inverse(jacobian)
-        if not largest(c) <= ROUNDED:
-            return OPEN_START, jacobian, inverse
-        return DONE if regular else SINGULAR_START, jacobian, inverse
+    J and A at the start are known, at a distance of up to `off`. Those returned can begin the next path.
+    """
+    done, share, steps = 0.0, 1.0, 0
+    while done < 1.0:
+        if tree.steps_left[0] == 0:
+            return q, jacobian, inverse, off, UNFINISHED, done, steps
+        tree.steps_left[0] -= 1
+        end = done + share
+        if end > 1.0 - 1e-12:
+            end = 1.0
+        accepted, reached, at_end, new, away, size, factor = _step(tree, q, done, end, jacobian, inverse, off)
+        steps += 1
+        if accepted:
+            q, jacobian, inverse, off, done = reached, at_end, new, away, end
+            share *= max(0.5, min(4.0, factor))
+            continue
+        share *= max(0.1, min(0.7, factor)) if factor == factor else 0.1
+        if share < SHORTEST_SHARE or size < SHORTEST_STEP:
+            return q, jacobian, inverse, off, NO_FURTHER, done, steps
+    return q, jacobian, inverse, off, DONE, done, steps
 
-    return begin, go_on
+
+@jit
+def _begin(tree, q):  # type: ignore[no-untyped-def]
+    """Return the status of a start, and J and A there."""
+    c, jacobian, _ = linearised(tree, q, 0.0)
+    inverse, regular = left_inverse(jacobian)
+    if not _largest(c) <= ROUNDED:
+        return OPEN_START, jacobian, inverse
+    return DONE if regular else SINGULAR_START, jacobian, inverse
+
+
+def _run(tree, starts, targets, is_path, results):  # type: ignore[no-untyped-def]
+    """Write q of all targets; return the number of those reached, and the status, share and steps of the last path."""
+    q, off, jacobian = starts[0], 0.0, np.empty((0, 0))
+    inverse = jacobian
+    for k in range(len(targets)):
+        if not is_path:
+            q = starts[k]
+        aim(tree, q, targets[k])
+        if k == 0 or tree.pose >= 0 or not (is_path or (q == starts[k - 1]).all()):
+            status, jacobian, inverse = _begin(tree, q)
+            off = 0.0
+            if status != DONE:
+                results[k] = q
+                return k, status, 0.0, 0
+        q, at_end, new, away, status, done, steps = _go_on(tree, q, jacobian, inverse, off)
+        results[k] = q
+        if status != DONE:
+            return k, status, done, steps
+        if is_path:
+            jacobian, inverse, off = at_end, new, away
+    return len(targets), DONE, 1.0, 0
+
+
+run = Kernel(_run, str(tree_kernel.__file__), __file__)

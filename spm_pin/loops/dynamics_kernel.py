@@ -12,19 +12,18 @@ import math
 
 import numpy as np
 
-from spm_pin.loops import continuation, null_space, state_kinematics, tree_kernel
+from spm_pin.loops import null_space, state_kinematics, tree_kernel
+from spm_pin.loops.kernel import Kernel, inlined, jit
 from spm_pin.loops.null_space import INDEPENDENT
 from spm_pin.loops.state_kinematics import AGREEMENT, COMPATIBLE, DEPENDENCE
 from spm_pin.loops.tree_kernel import (
-    Kernel,
     angular_of,
     axes_of,
     cross,
-    inlined,
-    jit,
     left_side,
     linearised_at,
     matrix,
+    minus,
     placed,
     plus,
     point_of,
@@ -62,20 +61,10 @@ def _wrench(bodies, k, linear, angular):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _hat_product(a, b):  # type: ignore[no-untyped-def]
-    """Return the product of the cross product matrices of two vectors, row by row."""
-    d = _dot(a, b)
-    return (
-        b[0] * a[0] - d,
-        b[0] * a[1],
-        b[0] * a[2],
-        b[1] * a[0],
-        b[1] * a[1] - d,
-        b[1] * a[2],
-        b[2] * a[0],
-        b[2] * a[1],
-        b[2] * a[2] - d,
-    )
+def _turned(column, turning, w, w1, w2):  # type: ignore[no-untyped-def]
+    """Return the second derivative of a column of R = R1ᵀ R2, where frame 2 turns against frame 1 at w = w2 - w1."""
+    fixed = plus(cross(turning, column), cross(w, cross(w2, column)))
+    return minus(fixed, cross(w1, cross(w, column)))
 
 
 @jit
@@ -84,7 +73,7 @@ def _motion(tree, rotations, origins, v, columns, twists, drifts, bodies):  # ty
     zero, center, k = (0.0, 0.0, 0.0), vector(origins, 0), 0
     for joint in range(len(tree.kinds)):
         parent, rotation = tree.parents[joint], matrix(rotations, joint)
-        arm = plus(vector(origins, joint), scaled(center, -1.0))
+        arm = minus(vector(origins, joint), center)
         linear, angular = zero, zero
         while k < len(v) and tree.joints[k] == joint:
             w = times(rotation, vector(tree.angular, k))
@@ -132,29 +121,18 @@ def _bias(tree, q, rates, rotations, origins, twists, drifts, bias):  # type: ig
         v2, w2 = _of_body(twists, second)
         drift1, turning1 = _of_body(drifts, first)
         drift2, turning2 = _of_body(drifts, second)
-        v, w = plus(v2, scaled(v1, -1.0)), plus(w2, scaled(w1, -1.0))
-        drift, turning = plus(drift2, scaled(drift1, -1.0)), plus(turning2, scaled(turning1, -1.0))
-        p = plus(point_of(tree, rotations, origins, loop, 1), scaled(center, -1.0))
+        v, w = minus(v2, v1), minus(w2, w1)
+        drift, turning = minus(drift2, drift1), minus(turning2, turning1)
+        p = minus(point_of(tree, rotations, origins, loop, 1), center)
         gap = plus(drift, cross(turning, p))
         gap = plus(gap, cross(w, plus(v2, cross(w2, p))))
-        gap = times(axes, plus(gap, scaled(cross(w1, plus(v, cross(w, p))), -1.0)))
+        gap = times(axes, minus(gap, cross(w1, plus(v, cross(w, p)))))
         r = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         if tree.position_counts[loop] < tree.row_counts[loop]:
-            a, x, x1, x2 = times(axes, turning), times(axes, w), times(axes, w1), times(axes, w2)
-            b, c = _hat_product(x, x2), _hat_product(x1, x)
-            hat = (0.0, -a[2], a[1], a[2], 0.0, -a[0], -a[1], a[0], 0.0)
-            change = (
-                hat[0] + b[0] - c[0],
-                hat[1] + b[1] - c[1],
-                hat[2] + b[2] - c[2],
-                hat[3] + b[3] - c[3],
-                hat[4] + b[4] - c[4],
-                hat[5] + b[5] - c[5],
-                hat[6] + b[6] - c[6],
-                hat[7] + b[7] - c[7],
-                hat[8] + b[8] - c[8],
-            )
-            r = product(change, product(axes, axes_of(tree, rotations, loop, 1)))
+            r = product(axes, axes_of(tree, rotations, loop, 1))
+            turns = times(axes, turning), times(axes, w), times(axes, w1), times(axes, w2)
+            x, y, z = _turned(r[0::3], *turns), _turned(r[1::3], *turns), _turned(r[2::3], *turns)
+            r = (x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2])
         for _ in range(tree.row_counts[loop]):
             bias[row] = left_side(tree.forms[row], gap, r) / tree.row_units[row]
             row += 1
@@ -262,7 +240,7 @@ def _project(tree, columns, twists, drifts, bodies, x, a, moved, forces):  # typ
         linear, angular = vector(twists, joint), angular_of(twists, joint)
         force, turning = _wrench(bodies, joint, linear, angular)
         rate, rate_angular = vector(drifts, joint), angular_of(drifts, joint)
-        rate = plus(plus(rate, vector(columns, nv + joint)), scaled(vector(tree.gravity, 0), -1.0))
+        rate = minus(plus(rate, vector(columns, nv + joint)), vector(tree.gravity, 0))
         rate_angular = plus(rate_angular, angular_of(columns, nv + joint))
         wrench, moment = _wrench(bodies, joint, rate, rate_angular)
         wrench = plus(wrench, cross(angular, force))
@@ -331,7 +309,7 @@ def _accelerate(tree, q, v, forces, rank, regular):  # type: ignore[no-untyped-d
     """Replace forces (nv,) by accelerations, and return True; or return False if an error is perhaps to be raised."""
     nv, count, held = len(v), len(tree.kinds), len(tree.held)
     rotations, origins = placed(tree, q)
-    residual, jacobian, _, _ = linearised_at(tree, q, rotations, origins)
+    residual, jacobian, _ = linearised_at(tree, q, rotations, origins)
     first = len(residual)
     rows, gap = first + held, _largest(residual)
     if not gap <= AGREEMENT:
@@ -419,6 +397,4 @@ def _run(tree, q, v, forces, rank, regular):  # type: ignore[no-untyped-def]
     return True
 
 
-accelerate = Kernel(
-    _run, *(str(module.__file__) for module in (tree_kernel, continuation, null_space, state_kinematics)), __file__
-)
+accelerate = Kernel(_run, *(str(module.__file__) for module in (tree_kernel, null_space, state_kinematics)), __file__)

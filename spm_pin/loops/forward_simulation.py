@@ -164,10 +164,9 @@ def simulate(
             raise ArgumentError(name, expected, type(given).__name__)
     for name, function in (events or {}).items():
         check_function(function, f"events[{name!r}]", "q")
-    loads = {} if wrenches is None else {k: _as_function(w, f"wrenches[{k!r}]", 6) for k, w in wrenches.items()}
-    report = shown_progress(progress)
+    loads = {k: _as_function(load, f"wrenches[{k!r}]", 6) for k, load in (wrenches or {}).items()}
     placed = {frame_index(chain.model, name, "wrenches"): load for name, load in loads.items()}
-    run = _Run(chain, state, placed, events or {}, tolerance)
+    report, run = shown_progress(progress), _Run(chain, state, placed, events or {}, tolerance)
     y, end = np.concatenate([state.q, state.v, [0.0]]), SimulationEnd.COMPLETE
     run.detail = run.event(y)
 
@@ -222,6 +221,12 @@ class _UnboundedRateError(Exception):
     """Velocities, accelerations or power are too large to be integrated."""
 
 
+def _check_bounded(rates: FloatArray) -> FloatArray:
+    if not largest(rates) < LARGEST_RATE:
+        raise _UnboundedRateError("velocities, accelerations or power above 1e100")
+    return rates
+
+
 _ENDS = (_UnboundedRateError, ClosureError, SingularConfigurationError)
 
 
@@ -255,11 +260,11 @@ class _Run:
         forces[kinematics.actuated] = tau
         for frame, load in self._loads.items():
             forces += kinematics.frame_jacobian(frame).T @ load(t, q, v)
-        if self._points is not None:
-            return self._points.accelerations(q, v, forces), tau, float(forces @ v)
         # A run ends with rates that are too large, or not finite.
         with np.errstate(over="ignore", invalid="ignore"):
             power = float(forces @ v)
+            if self._points is not None:
+                return self._points.accelerations(q, v, forces), tau, power
             is_done = kinematics.accelerate(q, v, forces)
             return forces if is_done else kinematics.accelerations(v, forces), tau, power
 
@@ -274,8 +279,7 @@ class _Run:
     def _closed(self, y: FloatArray) -> FloatArray:
         """Return y with q closed, and v admissible: a move of the size of the step's error."""
         kinematics, (q, v) = self._kinematics, self.parts(y)
-        if not largest(y) < LARGEST_RATE:
-            raise _UnboundedRateError("velocities, accelerations or power above 1e100")
+        _check_bounded(y)
         for _ in range(CLOSING_STEPS):
             kinematics.evaluate(q)
             if kinematics.widest_gap <= CLOSED:
@@ -305,19 +309,15 @@ class _Run:
 
     def first_event(self, dense: Callable[[float], FloatArray], before: float, t: float) -> tuple[str, float]:
         """Return the name of the first event in a step, or nothing, and its time, or that of the step's end."""
-        if not self.event(dense(t)):
-            return "", t
 
         def margin(time: float, name: str) -> float:
             # Rounding must not have it end before the step begins.
             return self._margin(name, self.parts(dense(time))[0]) if time > before else 1e-300
 
-        q, times = self.parts(dense(t))[0], {}
-        for name in self._events:
-            if self._margin(name, q) < 0.0:
-                times[name] = float(brentq(margin, before, t, args=(name,), xtol=1e-15, rtol=1e-14))
-        first = min(times, key=lambda name: times[name])
-        return first, times[first]
+        passed = [name for name in self._events if margin(t, name) < 0.0]
+        times = {name: float(brentq(margin, before, t, args=(name,), xtol=1e-15, rtol=1e-14)) for name in passed}
+        first = min(times, key=lambda name: times[name], default="")
+        return first, times.get(first, t)
 
     def advance(
         self, y: FloatArray, span: tuple[float, float], times: FloatArray, act: Any, tell: Callable[[float], None]
@@ -330,9 +330,7 @@ class _Run:
             a, _, power = self._motion(t, q, v, act)
             along = v if self._is_flat else pin.tangentMap(model, q) @ v
             rates = np.concatenate([along, a, [power]])
-            if not largest(rates) < LARGEST_RATE:
-                raise _UnboundedRateError("velocities, accelerations or power above 1e100")
-            return rates
+            return _check_bounded(rates)
 
         waiting, shortest = 0, SHORTEST_STEP * (span[1] - span[0])
         options: dict[str, Any] = {"rtol": self._tolerance, "atol": self._tolerance}

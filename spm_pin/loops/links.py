@@ -12,7 +12,7 @@ import pinocchio as pin
 
 from spm_pin.errors import DescriptionError
 from spm_pin.loops.closures import Anchor, Closure, JointEquality, RobotDescription
-from spm_pin.support.arguments import FloatArray, likely_names
+from spm_pin.support.arguments import FloatArray
 
 JointKind = Literal["hinge", "slide", "ball", "free"]
 _ALIGNED = {"hinge": (pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ)}
@@ -136,39 +136,18 @@ def describe(
     source: str,
     rest: FloatArray | None = None,
 ) -> RobotDescription:
-    """Return what a reader has found, after the checks that hold for every format.
+    """Return what a reader has found, if a chain can be made of it.
 
     q0 is the first configuration, without one the rest pose, by default Pinocchio's neutral one.
     """
+    from spm_pin.loops.closed_chain import ClosedChain
+
     check_unique([closure.name for closure in closures if closure.name], "closure", source)
-    for number, closure in enumerate(closures):
-        loop = repr(closure.name) if closure.name else str(number)
-        ends = []
-        for anchor in (closure.first, closure.second):
-            frame = find_frame(model, anchor.frame)
-            if frame is None:
-                raise DescriptionError(f"{source}, closure {loop}", "a link or site of the robot", repr(anchor.frame))
-            ends.append(model.frames[frame].parentJoint)
-        if ends[0] == ends[1]:
-            received = f"{closure.first.frame!r} and {closure.second.frame!r}"
-            cause = "Fixed joints alone hold them together: the loop has no joint that moves"
-            raise DescriptionError(
-                f"{source}, closure {loop}", "two links that move against each other", received, cause
-            )
-    for equality in equalities:
-        for name in (equality.joint, equality.driver):
-            if name is not None and not is_scalar(model, name):
-                where = f"{source}, joint equality {equality.name or equality.joint!r}"
-                raise DescriptionError(where, "a joint of one degree of freedom", repr(name))
-    actuated = tuple(dict.fromkeys(actuated))
-    for name in actuated:
-        if not is_scalar(model, name):
-            cause = likely_names(name, list(model.names)[1:])
-            raise DescriptionError(f"{source}, actuators", "a joint of one degree of freedom", repr(name), cause)
     q0 = next(iter(configurations.values()), pin.neutral(model) if rest is None else rest)
-    return RobotDescription(
-        model, tuple(closures), tuple(equalities), actuated, q0.copy(), dict(configurations), source
-    )
+    names, loops = tuple(dict.fromkeys(actuated)), (tuple(closures), tuple(equalities))
+    description = RobotDescription(model, *loops, names, q0.copy(), dict(configurations), source)
+    ClosedChain.from_description(description)
+    return description
 
 
 def hinges_of_points(closures: Iterable[Closure]) -> list[Closure]:
@@ -192,8 +171,3 @@ def hinges_of_points(closures: Iterable[Closure]) -> list[Closure]:
         closures[closures.index(pair[0])] = Closure("hinge", anchors[0], anchors[1], pair[0].name)
         closures.remove(pair[1])
     return closures
-
-
-def is_scalar(model: Any, name: str) -> bool:
-    """Return whether a joint exists and has one value."""
-    return bool(model.existJointName(name)) and model.joints[model.getJointId(name)].nq == 1

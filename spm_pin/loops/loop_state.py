@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from spm_pin.errors import ArgumentError
-from spm_pin.loops.batched_state import BatchedState, Result, ResultShape
+from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError, SpmError
 from spm_pin.loops.mobility import check_regular
 from spm_pin.loops.state_kinematics import (
     AGREEMENT,
@@ -26,6 +25,10 @@ from spm_pin.support.arguments import FloatArray, broadcastable
 
 MANY = 5000
 """Largest batch whose dynamics are computed by Pinocchio and NumPy, in about a second, if the kernel is not loaded."""
+
+Result = TypeVar("Result")
+ResultShape = tuple[int, ...] | list[tuple[int, ...]]
+"""The shape of a result, or those of several."""
 
 
 class Energy(NamedTuple):
@@ -42,13 +45,32 @@ class Energy(NamedTuple):
         return self.kinetic + self.potential
 
 
-class TreeState(BatchedState):
+class TreeState:
     """State (q, v) of a tree with closures; base of those of `loops` and of `multibody`, which differ in arguments."""
 
+    _kept_argument: ClassVar[str] = ""
+    """Argument whose errors are kept in `failures` for a batch, as singularities and open loops are; others raise."""
+
     def __init__(self, chain: Any, kinematics: StateKinematics) -> None:
-        super().__init__(chain.model.nv)
         self._chain, self.kinematics, self._is_flat = chain, kinematics, chain.model.nq == chain.model.nv
+        self._nv = chain.model.nv
         self._q, self._v = kinematics.q, kinematics.zero_velocity
+        self._batch: tuple[int, ...] = ()
+        self.failures: dict[tuple[int, ...], SpmError] = {}
+
+    def __repr__(self) -> str:
+        several = f" of a batch of shape {self._batch}" if self._batch else ""
+        return f"<{type(self).__name__}{several}: {self._nv} degrees of freedom of the tree>"
+
+    @property
+    def q(self) -> FloatArray:
+        """Joint values, shape (..., nq); a copy."""
+        return self._q.copy()
+
+    @property
+    def v(self) -> FloatArray:
+        """Joint velocities, shape (..., nv); a copy."""
+        return self._v.copy()
 
     def update(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None) -> Self:
         """Move to other joint values (..., nq) and velocities (..., nv), zero by default; return this state."""
@@ -59,7 +81,8 @@ class TreeState(BatchedState):
             self._batch, self._q, self._v = (), joints.copy(), rates
             self._move(self._q, rates)
         else:
-            self._set_batch(joints, rates)
+            self._batch = broadcastable("v", rates.shape[:-1], "q", joints.shape[:-1])
+            self._q, self._v = (np.broadcast_to(x, (*self._batch, x.shape[-1])).copy() for x in (joints, rates))
         return self
 
     def _read_q(self, q: npt.ArrayLike) -> FloatArray:
@@ -68,6 +91,7 @@ class TreeState(BatchedState):
         return read_joint_values(self._chain.model, q)
 
     def _move(self, q: FloatArray, v: FloatArray) -> None:
+        """Move to q (nq,) and v (nv,) for the functions of a single state."""
         self.kinematics.evaluate(q)
         self._rates, self._is_closed = v, False
 
@@ -78,7 +102,27 @@ class TreeState(BatchedState):
         """
         if not self._batch and all(array.ndim == 1 for array in arrays.values()):
             return function(*arrays.values())
-        return self._each_of_batch(function, shape, arrays)
+        batch, shapes = self._batch, shape if isinstance(shape, list) else [shape]
+        for name, array in arrays.items():
+            batch = broadcastable(name, array.shape[:-1], "the other arguments", batch)
+        members = [np.broadcast_to(x, (*batch, x.shape[-1])) for x in (self._q, self._v, *arrays.values())]
+        results: Any = [np.full((*batch, *each), np.nan) for each in shapes]
+        self.failures = {}
+        for index in np.ndindex(batch):
+            q, v, *arguments = (array[index] for array in members)
+            if self._batch:
+                self._move(q.copy(), v.copy())
+            try:
+                result: Any = function(*arguments)
+            except (ArgumentError, ClosureError, SingularConfigurationError) as error:
+                if isinstance(error, ArgumentError) and error.argument != self._kept_argument:
+                    raise at_index(error, index) from error
+                self.failures[index] = error
+                continue
+            for array, value in zip(results, result if shape is shapes else [result], strict=True):
+                array[index] = value
+        outcome: Result = results if shape is shapes else results[0]
+        return outcome
 
     def _each_closed_member(self, function: Callable[..., Result], shape: Any, **arrays: FloatArray) -> Result:
         """Return the same as `_each_member` for a function that takes a regular q, closed, and v that keeps it so."""
@@ -112,6 +156,33 @@ class TreeState(BatchedState):
             cause = "There are more actuators than freedoms, or loops lock one: see mobility"
             raise ArgumentError(argument, expected, f"values that are {missed:.1e} off", cause)
         return np.asarray(kinematics.space.basis.dot(rates))
+
+    def _forward_dynamics(
+        self, argument: str, forces: FloatArray, frames: list[int], wrenches: dict[str, FloatArray]
+    ) -> FloatArray:
+        """Return the accelerations (..., nv) under actuators (..., n), given as `argument`, and wrenches at frames."""
+        if not frames:
+            if forces.ndim == 1 and not self._batch:
+                return self._accelerations(forces, [], ())
+            if max(math.prod(self._batch), math.prod(forces.shape[:-1])) > MANY:
+                self._chain.compile_dynamics()
+            accelerations = self._compiled_batch(argument, forces)
+            if accelerations is not None:
+                return accelerations
+
+        def member(tau: FloatArray, *loads: FloatArray) -> FloatArray:
+            return self._accelerations(tau, frames, loads)
+
+        return self._each_member(member, (self._nv,), **{argument: forces}, **wrenches)
+
+    def _compiled_batch(self, argument: str, tau: FloatArray) -> FloatArray | None:
+        """Return the accelerations of a batch; None if nothing is compiled, or a member perhaps has an error."""
+        batch = broadcastable(argument, tau.shape[:-1], "the other arguments", self._batch)
+        q, v = (np.broadcast_to(x, (*batch, x.shape[-1])).reshape(-1) for x in (self._q, self._v))
+        forces = np.zeros((*batch, self._nv))
+        forces[..., self.kinematics.actuated] = tau
+        self.failures = {}
+        return forces if self.kinematics.accelerate(q, v, forces.reshape(-1)) else None
 
     def _accelerations(self, tau: FloatArray, frames: list[int], loads: tuple[FloatArray, ...]) -> FloatArray:
         """Return the accelerations of a single state under actuators (n,) and wrenches at frames."""
@@ -166,6 +237,18 @@ class TreeState(BatchedState):
 
     def _joint_vectors(self, value: npt.ArrayLike, argument: str) -> FloatArray:
         return read_vectors(value, argument, self._nv, "one for each degree of freedom in Pinocchio's order")
+
+
+def at_index(error: SpmError, index: tuple[int, ...]) -> SpmError:
+    """Return an error that also gives the member of a batch that it concerns; `()` for a single one."""
+    if not index:
+        return error
+    if isinstance(error, SingularConfigurationError):
+        return error.replaced(index=index)
+    if isinstance(error, ClosureError):
+        return error.replaced(cause=f"At batch index {index}. {error.cause}")
+    assert isinstance(error, ArgumentError)
+    return error.replaced(received=f"{error.received} at batch index {index}")
 
 
 class LoopState(TreeState):
@@ -269,10 +352,7 @@ class LoopState(TreeState):
         index = self._frame(frame)
 
         def member(a: FloatArray) -> FloatArray:
-            kinematics = self.kinematics
-            pin.forwardKinematics(kinematics.model, kinematics.data, kinematics.q, self._rates, a)
-            frames = kinematics.model, kinematics.data, index, pin.LOCAL_WORLD_ALIGNED
-            return np.array(pin.getFrameClassicalAcceleration(*frames).vector)
+            return self.kinematics.frame_acceleration(index, self._rates, a)
 
         return self._each_member(member, (6,), a=self._joint_vectors(a, "a"))
 
@@ -281,27 +361,7 @@ class LoopState(TreeState):
 
         `tau` (..., n) [N, N m] is in the order of the actuators.
         """
-        values = self._actuator_values(tau, "tau")
-        if wrenches is None and values.ndim == 1 and not self._batch:
-            return self._accelerations(values, [], ())
-
-        def member(tau: FloatArray, *loads: FloatArray) -> FloatArray:
-            return self._accelerations(tau, frames, loads)
-
-        frames, arrays = self._read_wrenches(wrenches)
-        if max(math.prod(self._batch), math.prod(values.shape[:-1])) > MANY:
-            self._chain.compile_dynamics()
-        accelerations = self._compiled_batch(values) if wrenches is None else None
-        return self._each_member(member, (self._nv,), tau=values, **arrays) if accelerations is None else accelerations
-
-    def _compiled_batch(self, tau: FloatArray) -> FloatArray | None:
-        """Return the accelerations of a batch; None if nothing is compiled, or a member perhaps has an error."""
-        batch = broadcastable("tau", tau.shape[:-1], "the other arguments", self._batch)
-        q, v = (np.broadcast_to(x, (*batch, x.shape[-1])).reshape(-1) for x in (self._q, self._v))
-        forces = np.zeros((*batch, self._nv))
-        forces[..., self.kinematics.actuated] = tau
-        self.failures = {}
-        return forces if self.kinematics.accelerate(q, v, forces.reshape(-1)) else None
+        return self._forward_dynamics("tau", self._actuator_values(tau, "tau"), *self._read_wrenches(wrenches))
 
     def inverse_dynamics(self, a: npt.ArrayLike, wrenches: Mapping[str, npt.ArrayLike] | None = None) -> FloatArray:
         """Return the forces of the actuators (..., n) [N, N m] for a motion under gravity, inertia and wrenches.

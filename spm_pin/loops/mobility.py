@@ -78,21 +78,19 @@ def mobility(chain: Any, q: npt.ArrayLike) -> Mobility:
     kinematics.evaluate(values)
     kinematics.check_closed()
     left, basis = _spaces(kinematics)
-    scaled = basis / kinematics.units[:, None]
     dependent: dict[str, int] = {}
     for name in dict.fromkeys(kinematics.labels):
         # The rank of the null vectors of Jᵀ at a closure's rows is how much of the dependence ends without it.
         at_name = left[[label == name for label in kinematics.labels]]
-        count = _rank(at_name)
-        if count:
+        if count := int((np.linalg.svd(at_name, compute_uv=False) > DETERMINED).sum()):
             dependent[name] = count
-    driven = scaled[kinematics.actuated]
+    driven = (basis / kinematics.units[:, None])[kinematics.actuated]
     left_driven, sizes, right = np.linalg.svd(driven)
     rank = int((sizes > DETERMINED).sum())
     repeated = np.abs(left_driven[:, rank:]).max(axis=1, initial=0.0) > DETERMINED
     # Some joints stand still for a moment, as at a dead centre.
     nearby = [basis, *_nearby(chain, values, basis)]
-    moving = {name for near in nearby for name in _moving(chain.model, near / kinematics.units[:, None])}
+    moving = {name for near in nearby for name in kinematics.moving_joints(near)}
     return Mobility(
         dof=basis.shape[1],
         rows=len(kinematics.labels),
@@ -100,7 +98,7 @@ def mobility(chain: Any, q: npt.ArrayLike) -> Mobility:
         actuators=len(chain.actuated),
         actuated_rank=rank,
         dependent=dependent,
-        undriven=tuple(_moving(chain.model, scaled @ right[rank:].T)),
+        undriven=tuple(kinematics.moving_joints(basis @ right[rank:].T)),
         redundant=tuple(
             name for name, is_repeated in zip(chain.actuated, repeated.tolist(), strict=True) if is_repeated
         ),
@@ -116,17 +114,6 @@ def _spaces(kinematics: StateKinematics) -> tuple[FloatArray, FloatArray]:
     least = max(INDEPENDENT, DEPENDENCE * kinematics.widest_gap) * max(sizes.max(initial=0.0), 1e-300)
     rank = int((sizes > least).sum())
     return left[:, rank:], kinematics.units[:, None] * right[rank:].T
-
-
-def _rank(matrix: FloatArray) -> int:
-    return int((np.linalg.svd(matrix, compute_uv=False) > DETERMINED).sum()) if matrix.size else 0
-
-
-def _moving(model: Any, scaled: FloatArray) -> list[str]:
-    """Return the names of joints that move in any of scaled velocities (nv, any)."""
-    sizes = np.abs(scaled).max(axis=1, initial=0.0)
-    joints = zip(list(model.names)[1:], list(model.joints)[1:], strict=True)
-    return [name for name, j in joints if sizes[j.idx_v : j.idx_v + j.nv].max() > DETERMINED]
 
 
 def check_regular(chain: Any, kinematics: StateKinematics) -> None:

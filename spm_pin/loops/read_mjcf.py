@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from spm_pin.errors import ArgumentError, DescriptionError, require_extra
+from spm_pin.errors import DescriptionError, require_extra
 from spm_pin.loops.closures import Anchor, Closure, JointEquality, RobotDescription
 from spm_pin.loops.links import Joint, JointKind, Link, build_model, describe, hinges_of_points, place
+from spm_pin.loops.xml_input import read_source
 from spm_pin.support.arguments import FloatArray, name_sequence
-from spm_pin.support.files import file_path
 
 
 def read_mjcf(source: Any, *, actuated: Sequence[str] | None = None) -> RobotDescription:
@@ -47,21 +46,15 @@ def read_mjcf(source: Any, *, actuated: Sequence[str] | None = None) -> RobotDes
 
     compiled, where = source, "model"
     if not isinstance(source, mujoco.MjModel):
-        text = source if isinstance(source, str) and source.lstrip().startswith("<") else None
-        where = "text"
-        if text is None:
-            where = str(file_path(source, "source", expected="an MJCF file, its text, or a mujoco.MjModel"))
+        text, where = read_source(source, "<", "a mujoco.MjModel, an MJCF file")
+        if "<robot" in text:
+            # MuJoCo reads a URDF without its loops.
+            raise DescriptionError(where, "an MJCF file, whose root is <mujoco>", "<robot>", "Use from_urdf")
         try:
-            if text is None and not Path(where).is_file():
-                raise DescriptionError(where, "an existing MJCF file", "no such file")
-            if "<robot" in (Path(where).read_text(encoding="utf-8", errors="replace") if text is None else text):
-                # MuJoCo reads a URDF without its loops.
-                raise DescriptionError(where, "an MJCF file, whose root is <mujoco>", "<robot>", "Use from_urdf")
-            load = mujoco.MjModel.from_xml_path if text is None else mujoco.MjModel.from_xml_string
-            compiled = load(where if text is None else text)
+            # A file may include others beside it.
+            of_text = where == "text"
+            compiled = mujoco.MjModel.from_xml_string(text) if of_text else mujoco.MjModel.from_xml_path(where)
         except ValueError as error:
-            if isinstance(error, ArgumentError):
-                raise
             raise DescriptionError(where, "an MJCF file that MuJoCo compiles", str(error).strip()) from None
     return _Mjcf(mujoco, compiled, where).describe(actuated)
 

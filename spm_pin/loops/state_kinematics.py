@@ -13,7 +13,6 @@ Rows may depend on each other. Z, whose columns span the velocities that the clo
 from __future__ import annotations
 
 import math
-import sys
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -23,7 +22,6 @@ import pinocchio as pin
 from scipy.linalg import blas, lapack
 
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
-from spm_pin.loops.constraint_rows import LoopKinematics
 from spm_pin.loops.links import find_frame
 from spm_pin.loops.null_space import NullSpace
 from spm_pin.loops.point_closures import PointDynamics, PointRows
@@ -111,11 +109,6 @@ class StateKinematics:
         # A free base, and other joints that are neither in a loop nor actuated, stand still where actuators have rates.
         in_loops = np.concatenate([np.flatnonzero(rows.signs.any(axis=0)), *rows.equality_places[:, [1, 3]]])
         self.base = np.setdiff1d(np.arange(nv), np.concatenate([in_loops, self.actuated, held]))
-        # For each closure, which velocities move its first frame.
-        self._first = np.zeros((len(rows.closures), nv))
-        for moved, (first, _) in zip(self._first, rows.joints, strict=True):
-            for joint in [self.model.joints[j] for j in list(self.model.supports[first])[1:]]:
-                moved[joint.idx_v : joint.idx_v + joint.nv] = 1.0
         self._compiled: Any = None
         self._bare = 0  # number of attributes while no member is cached
         self._bare = len(self.__dict__)
@@ -146,7 +139,8 @@ class StateKinematics:
             self._has_placements = True
 
     @cached_property
-    def _placed(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def placed(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Result of `ConstraintRows.placements_of`."""
         placed: tuple[FloatArray, FloatArray, FloatArray] = self.rows.placements_of(self.data)
         return placed
 
@@ -156,14 +150,14 @@ class StateKinematics:
         if self._points is not None:
             self._place()
             return self._points.residual()
-        return np.concatenate([self.rows.left_sides(self.q, self._placed[2]), np.zeros(len(self._held))])
+        return np.concatenate([self.rows.left_sides(self.q, self.placed[2]), np.zeros(len(self._held))])
 
     @cached_property
     def jacobian(self) -> FloatArray:
         """J, joint velocities (nv,) to the rates of the left sides, shape (m, nv); exact at any q."""
         if self._points is not None:
             return self._points.jacobian(self.data)
-        rows = self.rows.jacobian(self.q, self.data, self._placed)
+        rows = self.rows.jacobian(self.q, self.data, self.placed)
         return np.concatenate([rows, self._held]) if len(self._held) else rows
 
     def bias(self, v: FloatArray) -> FloatArray:
@@ -173,30 +167,30 @@ class StateKinematics:
             return self._points.bias(data, self.q, v, self.zero_velocity)
         pin.computeJointJacobiansTimeVariation(self.model, data, self.q, v)
         across, count = (rows.signs * v).T, len(rows.joints)
-        columns = [data.J.dot(across), data.dJ.dot(across), data.J.dot((self._first * v).T)]
+        columns = [data.J.dot(across), data.dJ.dot(across), data.J.dot((rows.moves[:, 0] * v).T)]
         hats = np.concatenate(columns, axis=1).T.dot(_HATS).reshape(3, count, 4, 4)
         relative, change, first = hats
         # X = M1⁻¹ M2 of the placements in the world; its second derivative is M1⁻¹ (...) M2, with a last row of zeros.
         inner = (change + relative @ (relative + first) - first @ relative)[:, :3]
-        axes, tip, placed = self._placed
+        axes, tip, placed = self.placed
         moved = np.array(placed)
         moved[:, :3, :3], moved[:, :3, 3] = axes @ placed[:, :3, :3], tip
         second = axes.swapaxes(1, 2) @ inner @ moved
         # Left sides of closures are linear in X.
         bias = np.concatenate([rows.left_sides(self.q, second), np.zeros(len(self._held))])
-        for k, (_, _, place, driver) in enumerate(rows.equality_places.tolist()):
-            curvature = np.polynomial.Polynomial(rows.polynomials[k]).deriv(2) if driver >= 0 else np.zeros_like
-            bias[len(rows.forms) + k] = -curvature(self.q[place] - rows.zeros[k, 1]) * v[driver] ** 2
+        if len(rows.equalities):
+            bias[len(rows.forms) : rows.count] = -rows.curves(self.q, 2) * v[rows.equality_places[:, 3]] ** 2
         return bias
 
     @cached_property
-    def _scaled(self) -> FloatArray:
+    def scaled_jacobian(self) -> FloatArray:
+        """J, dimensionless, in units of rows and joints, shape (m, nv)."""
         return np.asarray(self.jacobian * self._scale)
 
     def is_admissible(self, rates: FloatArray, bias: FloatArray | None = None, extra: float = 0.0) -> bool:
         """Return whether J x + bias is zero, for rates x, to `AGREEMENT` of the largest of x, bias and `extra`."""
         scaled_rates, size = rates / self.units, extra
-        opening = self._scaled.dot(scaled_rates)
+        opening = self.scaled_jacobian.dot(scaled_rates)
         if bias is not None:
             scaled_bias = bias / self.row_units
             opening, size = opening + scaled_bias, size + largest(scaled_bias)
@@ -210,7 +204,7 @@ class StateKinematics:
     @cached_property
     def space(self) -> NullSpace:
         """The velocities that the closures admit."""
-        return NullSpace(self._scaled, self.row_units, self.units, DEPENDENCE * self.widest_gap, self.rank)
+        return NullSpace(self.scaled_jacobian, self.row_units, self.units, DEPENDENCE * self.widest_gap, self.rank)
 
     @property
     def are_independent(self) -> bool:
@@ -270,6 +264,12 @@ class StateKinematics:
         """Return the Jacobian (6, nv) of a frame, at its origin in the universe's axes."""
         return np.asarray(pin.getFrameJacobian(self.model, self.data, frame, pin.LOCAL_WORLD_ALIGNED))
 
+    def frame_acceleration(self, frame: int, v: FloatArray, a: FloatArray) -> FloatArray:
+        """Return the time derivative of the twist (6,) of a frame, at its origin in the universe's axes."""
+        pin.forwardKinematics(self.model, self.data, self.q, v, a)
+        frames = self.model, self.data, frame, pin.LOCAL_WORLD_ALIGNED
+        return np.array(pin.getFrameClassicalAcceleration(*frames).vector)
+
     def mass_matrix(self) -> FloatArray:
         """Return the joint-space mass matrix M, shape (nv, nv)."""
         half = np.triu(pin.crba(self.model, self.data, self.q))
@@ -284,7 +284,7 @@ class StateKinematics:
     def check_closed(self, v: FloatArray | None = None, argument: str = "v") -> None:
         """Raise unless q is closed and v keeps it so, to `AGREEMENT`."""
         if not self.widest_gap <= AGREEMENT:
-            gap, unit, loop = LoopKinematics(self.rows).widest(self.q)
+            gap, unit, loop = self.rows.widest(self.residual)
             cause = f"The widest is {loop}. Rounded or guessed joint values? {self.remedy}"
             raise ClosureError(gap, 0, cause, loop, unit)
         if v is not None and v is not self.zero_velocity and not self.is_admissible(v):
@@ -315,10 +315,9 @@ class StateKinematics:
         It is not if nothing is compiled, or a state is not regular and closed.
         """
         if self._compiled is None:
-            kernel = sys.modules.get(f"{__package__}.dynamics_kernel")
-            if kernel is None or not kernel.accelerate.is_loaded:
+            if not self._chain.dynamics.is_loaded:
                 return False
-            self._compiled = kernel.accelerate.call
+            self._compiled = self._chain.dynamics.call
         chain, rank = self._chain, -1 if self.rank is None else self.rank
         return bool(self._compiled(chain.tree, q, v, forces, rank, chain.regular_dof))
 

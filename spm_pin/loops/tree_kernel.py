@@ -1,194 +1,124 @@
 # mypy: allow-untyped-calls
-"""Paths of any closed chain, compiled once for all: tree, closures and target are arrays.
+"""A tree of joints with closures as arrays: placements, equations, their derivatives, and the target of a path.
 
-The functions are those of `following` over Pinocchio, for the same `continuation`. A joint is one of seven kinds, by
-how its configuration is stored.
+The functions are interpreted and compiled, once for all robots. A joint is one of seven kinds, by how its configuration
+is stored. The equations and their scales are those of `constraint_rows`.
 """
 
 from __future__ import annotations
 
-import hashlib
-import logging
 import math
-from collections.abc import Callable
-from pathlib import Path
-from types import SimpleNamespace
+from collections.abc import Iterable
 from typing import Any
 
-import numba
 import numpy as np
-import pinocchio as pin
-from numba.core import event, types
-from numba.core.typing.templates import AttributeTemplate
-from numba.extending import (
-    NativeValue,
-    infer_getattr,
-    lower_getattr_generic,
-    models,
-    register_jitable,
-    register_model,
-    typeof_impl,
-    unbox,
-)
-from numba.np.arrayobj import populate_array
 
-from spm_pin.loops import continuation
-from spm_pin.loops.constraint_rows import FORMS
+from spm_pin.loops.constraint_rows import FORMS, ROTATION, ConstraintRows
+from spm_pin.loops.kernel import PlainArrays, inlined, jit
 from spm_pin.support.arguments import FloatArray, IntArray
-from spm_pin.support.compiling import COMPILING
 
 HINGE, SLIDE, UNBOUNDED, BALL, FREE, TRANSLATION, PLANAR = range(7)
 _KINDS = {"Spherical": BALL, "FreeFlyer": FREE, "Translation": TRANSLATION, "Planar": PLANAR}
 _KINDS |= dict.fromkeys(("PX", "PY", "PZ", "PrismaticUnaligned"), SLIDE)
 _KINDS |= dict.fromkeys(("RUBX", "RUBY", "RUBZ", "RevoluteUnboundedUnaligned"), UNBOUNDED)
-_LOG = logging.getLogger("spm_pin")
-
-# Without wrappers for C, which nothing calls, compiling takes a tenth less.
-jit: Any = register_jitable(error_model="numpy", no_cfunc_wrapper=True)
-summing: Any = register_jitable(error_model="numpy", no_cfunc_wrapper=True, fastmath={"reassoc", "contract"})
-"""For sums whose order does not matter, so that the compiler vectorises them."""
-inlined: Any = register_jitable(error_model="numpy", no_cfunc_wrapper=True, forceinline=True)
-"""For small functions of small arrays, of which the compiler then keeps the elements in registers."""
+UNLIMITED = int(np.iinfo(np.int64).max)
 
 
-def tree_of(problem: Any, held: IntArray | tuple[()] = ()) -> SimpleNamespace:
-    """Return a `following.Problem` as arrays, and the masses of its bodies; `_aim` writes the last ones.
+def tree_of(
+    rows: ConstraintRows, columns: IntArray, driven: IntArray, driven_in_v: IntArray, held: IntArray | tuple[()] = ()
+) -> PlainArrays:
+    """Return the tree of a model, its equations, and a path to a target, which `aim` writes.
 
-    `held` are velocities that are zero in dynamics.
+    `columns` (p,) are the unknown velocities, `driven` the places of driven joints in q, and `held` velocities that are
+    zero in dynamics. What is not named after an attribute of `ConstraintRows`, `Model` or `Inertia`:
+
+    linear, angular, joints, carriers
+        Of each velocity: its unit twist in the joint's own frame, the joint, and the velocity before it on the way from
+        the universe, or -1.
+    first_columns, loop_columns, loop_signs
+        Where the velocities of each closure begin, and which they are, from frame 1 to frame 2.
+    first_rows, position_counts, row_counts
+        Where the equations of each closure begin, and how many there are, of positions and in all.
+    driven_rates, pose_turn
+        Change of each driven joint along the whole path, dimensionless, and the angle of the pose [rad].
+    steps_left
+        Number of steps, in all paths, before one is left unfinished.
+    pose_share, drivers
+        Share of the path that the current step covers, and values of the drivers of joint equalities at its start.
     """
-    rows, joints, inertias = problem.rows, list(problem.rows.model.joints)[1:], list(problem.rows.model.inertias)[1:]
+    model, closures = rows.model, len(rows.closures)
+    joints, inertias = list(model.joints)[1:], list(model.inertias)[1:]
     linear, angular = rows.screws
-    placements = [rows.model.jointPlacements[joint.id] for joint in joints]
-    unknowns = np.full(rows.model.nv, -1)
-    unknowns[problem.columns] = np.arange(len(problem.columns))
-    orders = np.split(problem.loop_columns, problem.first_columns[1:-1]) if len(rows.signs) else []
-    frame = problem.at_frame or pin.SE3.Identity()
-
-    def whole(values: Any) -> IntArray:
-        return np.array(values, dtype=np.int64, order="C")
-
-    def stacked(values: Any, *shape: int) -> FloatArray:
-        return np.array(values, dtype=np.float64, order="C").reshape(-1, *shape).copy()
-
-    return SimpleNamespace(
-        parents=whole([rows.model.parents[joint.id] - 1 for joint in joints]),
-        kinds=whole([_KINDS.get(joint.shortname().removeprefix("JointModel"), HINGE) for joint in joints]),
-        in_q=whole([joint.idx_q for joint in joints]),
-        in_v=whole([joint.idx_v for joint in joints]),
-        rotations=stacked([placement.rotation for placement in placements], 9),
-        places=stacked([placement.translation for placement in placements], 3),
-        linear=stacked(linear, 3),
-        angular=stacked(angular, 3),
-        joints=whole(np.repeat(np.arange(len(joints)), [joint.nv for joint in joints])),
-        carriers=whole(rows.model.createData().parents_fromRow),
-        units=stacked(rows.units),
-        ends=whole(rows.joints).reshape(-1, 2) - 1,
-        turns=np.array(rows.turns, order="C"),
-        lever_scales=np.array(rows.lever_scales, order="C"),
-        first_columns=whole(problem.first_columns),
-        loop_columns=whole(problem.loop_columns),
-        loop_signs=stacked(
-            np.concatenate([sign[order] for sign, order in zip(rows.signs, orders, strict=True)] or [np.zeros(0)])
-        ),
-        forms=whole(rows.forms % FORMS),
-        row_units=stacked(rows.row_units),
-        equality_places=whole(rows.equality_places),
-        polynomials=np.array(rows.polynomials, order="C"),
-        zeros=np.array(rows.zeros, order="C"),
-        drivers=np.zeros(len(rows.zeros)),
-        columns=whole(problem.columns),
-        unknowns=whole(unknowns),
-        driven=whole(problem.driven),
-        driven_in_v=whole(problem.driven_in_v),
-        pose=problem.pose,
-        first_rows=whole(problem.first_rows),
-        position_counts=whole(problem.position_counts),
-        row_counts=whole(problem.row_counts),
-        frame_rotation=stacked(frame.rotation, 9),
-        frame_place=stacked(frame.translation, 3),
-        gravity=stacked(rows.model.gravity.linear, 3),
-        masses=stacked([inertia.mass for inertia in inertias]),
-        levers=stacked([inertia.lever for inertia in inertias], 3),
-        inertias=stacked([inertia.inertia for inertia in inertias], 9),
-        armatures=stacked(rows.model.armature),
-        held=whole(held),
-        end_rotations=stacked([end.rotation for ends in rows.placements for end in ends], 9),
-        end_places=stacked([end.translation for ends in rows.placements for end in ends], 3),
-        driven_rates=np.zeros(rows.model.nv),
-        values=np.zeros((2, len(problem.driven))),
-        pose_turn=np.zeros(1),
-        pose_share=np.zeros(1),
-        turn=np.zeros(3),
-        pose_rotations=np.zeros((2, 9)),
-        pose_places=np.zeros((2, 3)),
-    )
+    placements = [model.jointPlacements[joint.id] for joint in joints]
+    unknowns = np.full(model.nv, -1)
+    unknowns[columns] = np.arange(len(columns))
+    # Joints in the order from frame 1 to frame 2.
+    orders = [np.r_[np.flatnonzero(sign < 0.0)[::-1], np.flatnonzero(sign > 0.0)] for sign in rows.signs]
+    loops, none = rows.forms // FORMS, np.zeros(0)
+    counts = np.bincount(loops, minlength=closures)
+    ends = [end for pair in rows.placements for end in pair]
+    integers: dict[str, Any] = {
+        "parents": [model.parents[joint.id] - 1 for joint in joints],
+        "kinds": [_KINDS.get(joint.shortname().removeprefix("JointModel"), HINGE) for joint in joints],
+        "in_q": [joint.idx_q for joint in joints],
+        "in_v": [joint.idx_v for joint in joints],
+        "joints": np.repeat(np.arange(len(joints)), [joint.nv for joint in joints]),
+        "carriers": model.createData().parents_fromRow,
+        "ends": np.reshape(rows.joints, (-1, 2)) - 1,
+        "first_columns": np.cumsum([0, *map(len, orders)]),
+        "loop_columns": np.concatenate([*orders, none]),
+        "forms": rows.forms % FORMS,
+        "equality_places": rows.equality_places,
+        "columns": columns,
+        "unknowns": unknowns,
+        "driven": driven,
+        "driven_in_v": driven_in_v,
+        "first_rows": np.cumsum(counts) - counts,
+        "position_counts": np.bincount(loops[rows.forms % FORMS < ROTATION], minlength=closures),
+        "row_counts": counts,
+        "held": held,
+        "steps_left": [UNLIMITED],
+    }
+    floats: dict[str, Any] = {
+        "rotations": _flat(placement.rotation for placement in placements),
+        "places": _stacked(placement.translation for placement in placements),
+        "linear": linear,
+        "angular": angular,
+        "units": rows.units,
+        "turns": rows.turns,
+        "lever_scales": rows.lever_scales,
+        "loop_signs": np.concatenate([*(sign[order] for sign, order in zip(rows.signs, orders, strict=True)), none]),
+        "row_units": rows.row_units,
+        "polynomials": rows.polynomials,
+        "zeros": rows.zeros,
+        "drivers": np.zeros(len(rows.zeros)),
+        "gravity": [model.gravity.linear],
+        "masses": [inertia.mass for inertia in inertias],
+        "levers": _stacked(inertia.lever for inertia in inertias),
+        "inertias": _flat(inertia.inertia for inertia in inertias),
+        "armatures": model.armature,
+        "end_rotations": _flat(end.rotation for end in ends),
+        "end_places": _stacked(end.translation for end in ends),
+        "driven_rates": np.zeros(model.nv),
+        "values": np.zeros((2, len(driven))),
+        "pose_turn": np.zeros(1),
+        "pose_share": np.zeros(1),
+        "turn": np.zeros(3),
+        "pose_rotations": np.zeros((2, 9)),
+        "pose_places": np.zeros((2, 3)),
+        "pose_axes": np.zeros((1, 9)),
+    }
+    arrays = {name: np.array(value, dtype=np.int64, order="C") for name, value in integers.items()}
+    arrays |= {name: np.array(value, dtype=np.float64, order="C") for name, value in floats.items()}
+    return PlainArrays({"pose": rows.pose, **arrays})
 
 
-class PlainTree:
-    """A tree for compiled functions: a table of pointers and shapes, which an argument costs nothing to pass.
-
-    Numba passes a tuple array by array, each counted as a reference wherever a function is called.
-    """
-
-    def __init__(self, tree: SimpleNamespace) -> None:
-        self.fields = vars(tree)
-        arrays = [
-            (x.ctypes.data, *x.shape, 0)[:3] if isinstance(x, np.ndarray) else (x, 0, 0) for x in vars(tree).values()
-        ]
-        self._table = np.array(arrays)
-        self.address = self._table.ctypes.data
+def _flat(matrices: Iterable[Any]) -> FloatArray:
+    return np.array([matrix.ravel() for matrix in matrices]).reshape(-1, 9)
 
 
-class _PlainType(types.Type):
-    def __init__(self, fields: dict[str, Any]) -> None:
-        self.fields = {name: (3 * k, numba.typeof(value)) for k, (name, value) in enumerate(fields.items())}
-        super().__init__(f"PlainTree({self.fields})")
-
-
-register_model(_PlainType)(models.OpaqueModel)
-
-
-@typeof_impl.register(PlainTree)
-def _type_of(value, _):  # type: ignore[no-untyped-def]
-    return _PlainType(value.fields)
-
-
-@unbox(_PlainType)
-def _unbox(_, value, c):  # type: ignore[no-untyped-def]
-    number = c.pyapi.object_getattr_string(value, "address")
-    pointer = c.pyapi.long_as_voidptr(number)
-    c.pyapi.decref(number)
-    return NativeValue(pointer)
-
-
-@infer_getattr
-class _Fields(AttributeTemplate):
-    key = _PlainType
-
-    def generic_resolve(self, kind, name):  # type: ignore[no-untyped-def, override]
-        """Return the type of a field."""
-        return kind.fields[name][1]
-
-
-@lower_getattr_generic(_PlainType)
-def _load(context, builder, kind, tree, name):  # type: ignore[no-untyped-def]
-    (place, field), integer = kind.fields[name], context.get_value_type(types.intp)
-    table = builder.bitcast(tree, integer.as_pointer())
-
-    def number(k):  # type: ignore[no-untyped-def]
-        result = builder.load(builder.gep(table, [integer(place + k)]))
-        # The table never changes, so that a loop may keep what is read before it.
-        result.set_metadata("invariant.load", builder.module.add_metadata([]))
-        return result
-
-    if not isinstance(field, types.Array):
-        return number(0)
-    array, item = context.make_array(field)(context, builder), field.dtype.bitwidth // 8
-    shape = [number(1 + k) for k in range(field.ndim)]
-    strides = [integer(item)] if field.ndim == 1 else [builder.mul(shape[1], integer(item)), integer(item)]
-    data = builder.inttoptr(number(0), array.data.type)
-    populate_array(array, data, shape, strides, integer(item), meminfo=None)
-    return array._getvalue()
+def _stacked(vectors: Iterable[Any]) -> FloatArray:
+    return np.array(list(vectors)).reshape(-1, 3)
 
 
 @inlined
@@ -259,6 +189,12 @@ def times(a, x):  # type: ignore[no-untyped-def]
 def plus(x, y):  # type: ignore[no-untyped-def]
     """Return the sum of two vectors."""
     return x[0] + y[0], x[1] + y[1], x[2] + y[2]
+
+
+@inlined
+def minus(x, y):  # type: ignore[no-untyped-def]
+    """Return the difference of two vectors."""
+    return x[0] - y[0], x[1] - y[1], x[2] - y[2]
 
 
 @inlined
@@ -389,8 +325,8 @@ def _turning(form, w, r):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _aim_pose(tree, s):  # type: ignore[no-untyped-def]
-    """Move the pose that is to be reached to its place at a share of the path, as `Problem.place` does."""
+def __aim_pose(tree, s):  # type: ignore[no-untyped-def]
+    """Move the pose that is to be reached to its place at a share of the path."""
     end = 2 * tree.pose
     rotation = matrix(tree.pose_rotations, 1)
     for i in range(3):
@@ -402,7 +338,7 @@ def _aim_pose(tree, s):  # type: ignore[no-untyped-def]
         for i in range(3):
             start = tree.pose_places[0, i]
             tree.end_places[end, i] = start + s * (tree.pose_places[1, i] - start)
-    _put(product(matrix(tree.frame_rotation, 0), transposed(rotation)), tree.end_rotations, end + 1)
+    _put(rotation, tree.pose_axes, 0)
 
 
 @jit
@@ -419,12 +355,18 @@ def _equalities(tree, q, c):  # type: ignore[no-untyped-def]
 
 
 @inlined
+def _turning_axes(tree, loop, axes):  # type: ignore[no-untyped-def]
+    """Return the rotation matrix to the axes of the equations of rotation: for a pose to those of the target."""
+    return transposed(matrix(tree.pose_axes, 0)) if loop == tree.pose else axes
+
+
+@inlined
 def _left_sides(tree, rotations, origins, loop, axes, p2, c):  # type: ignore[no-untyped-def]
     """Write the left sides of the equations of a closure, and return the rotation matrix of frame 2 in frame 1."""
-    gap = times(axes, plus(p2, scaled(point_of(tree, rotations, origins, loop, 0), -1.0)))
+    gap = times(axes, minus(p2, point_of(tree, rotations, origins, loop, 0)))
     r = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     if tree.position_counts[loop] < tree.row_counts[loop]:
-        r = product(axes, axes_of(tree, rotations, loop, 1))
+        r = product(_turning_axes(tree, loop, axes), axes_of(tree, rotations, loop, 1))
     first = tree.first_rows[loop]
     for row in range(first, first + tree.row_counts[loop]):
         c[row] = left_side(tree.forms[row], gap, r) / tree.row_units[row]
@@ -432,9 +374,10 @@ def _left_sides(tree, rotations, origins, loop, axes, p2, c):  # type: ignore[no
 
 
 @jit
-def _residual(tree, q, s):  # type: ignore[no-untyped-def]
+def residual(tree, q, s):  # type: ignore[no-untyped-def]
+    """Return the equations' left sides c (m,), dimensionless, at a share s of the path, from 0 to 1."""
     if tree.pose >= 0:
-        _aim_pose(tree, s)
+        __aim_pose(tree, s)
     rotations, origins = placed(tree, q)
     c = np.empty(len(tree.row_units))
     for loop in range(len(tree.ends)):
@@ -445,16 +388,20 @@ def _residual(tree, q, s):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _linearised(tree, q, s):  # type: ignore[no-untyped-def]
+def linearised(tree, q, s):  # type: ignore[no-untyped-def]
+    """Return c (m,), its Jacobian J (m, p) and levers (closures, nv) at a share of the path."""
     if tree.pose >= 0:
-        _aim_pose(tree, s)
+        __aim_pose(tree, s)
     rotations, origins = placed(tree, q)
     return linearised_at(tree, q, rotations, origins)
 
 
 @jit
 def linearised_at(tree, q, rotations, origins):  # type: ignore[no-untyped-def]
-    """Return c (m,), J (m, p), and levers and turns (closures, nv) of joints that are placed."""
+    """Return c (m,), J (m, p) and levers (closures, nv), the speeds of p2 by each velocity, for joints that are placed.
+
+    A velocity that turns has its lever over its entry of `turns`.
+    """
     nv, loops = len(tree.units), len(tree.ends)
     c, jacobian = np.empty(len(tree.row_units)), np.zeros((len(tree.row_units), len(tree.columns)))
     levers, screws = np.zeros((loops, nv)), np.empty((nv, 6))
@@ -470,7 +417,7 @@ def linearised_at(tree, q, rotations, origins):  # type: ignore[no-untyped-def]
         for k in range(tree.first_columns[loop], tree.first_columns[loop + 1]):
             column = tree.loop_columns[k]
             w = angular_of(screws, column)
-            arm = plus(p2, scaled(vector(origins, tree.joints[column]), -1.0))
+            arm = minus(p2, vector(origins, tree.joints[column]))
             v = plus(vector(screws, column), cross(w, arm))
             levers[loop, column] = length(v) * tree.lever_scales[loop, column]
             unknown = tree.unknowns[column]
@@ -480,7 +427,7 @@ def linearised_at(tree, q, rotations, origins):  # type: ignore[no-untyped-def]
             for row in range(start, between):
                 jacobian[row, unknown] = v[0] if tree.forms[row] == 0 else v[1] if tree.forms[row] == 1 else v[2]
             if between < end:
-                w = times(axes, scaled(w, tree.loop_signs[k]))
+                w = times(_turning_axes(tree, loop, axes), scaled(w, tree.loop_signs[k]))
                 for row in range(between, end):
                     jacobian[row, unknown] = _turning(tree.forms[row], w, r)
             for row in range(start, end):
@@ -496,7 +443,7 @@ def linearised_at(tree, q, rotations, origins):  # type: ignore[no-untyped-def]
             for power in range(tree.polynomials.shape[1] - 1, 0, -1):
                 slope = slope * x + power * tree.polynomials[k, power]
             jacobian[row, tree.unknowns[driver_in_v]] -= slope * tree.units[driver_in_v] / tree.row_units[row]
-    return c, jacobian, levers, tree.turns
+    return c, jacobian, levers
 
 
 @jit
@@ -528,7 +475,8 @@ def _steps(tree, x, v):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _moved(tree, q, s, x):  # type: ignore[no-untyped-def]
+def moved(tree, q, s, x):  # type: ignore[no-untyped-def]
+    """Return q with the unknown joints moved by x (p,), and the driven ones at their values for a share of the path."""
     q = q.copy()
     for joint in range(len(tree.kinds)):
         kind, at, v = tree.kinds[joint], tree.in_q[joint], tree.in_v[joint]
@@ -566,61 +514,6 @@ def _moved(tree, q, s, x):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _left_inverse(jacobian):  # type: ignore[no-untyped-def]
-    """Return (Jᵀ J)⁻¹ Jᵀ by Cholesky's factorisation UᵀU, and whether J has full column rank.
-
-    The inner loops add multiples of rows, which the compiler vectorises, and leave out those of zero, which are many.
-    """
-    rows, columns = jacobian.shape
-    inverse, upper, largest = jacobian.T.copy(), np.zeros((columns, columns)), 0.0
-    for row in range(rows):
-        for i in range(columns):
-            if jacobian[row, i] != 0.0:
-                for k in range(i, columns):
-                    upper[i, k] += jacobian[row, i] * jacobian[row, k]
-    for i in range(columns):
-        if not upper[i, i] > 0.0:
-            return inverse, False
-        pivot = math.sqrt(upper[i, i])
-        largest, factor = max(largest, pivot), 1.0 / pivot
-        for k in range(i, columns):
-            upper[i, k] *= factor
-        for row in range(rows):
-            inverse[i, row] *= factor
-        for j in range(i + 1, columns):
-            factor = upper[i, j]
-            if factor != 0.0:
-                for k in range(j, columns):
-                    upper[j, k] -= factor * upper[i, k]
-                for row in range(rows):
-                    inverse[j, row] -= factor * inverse[i, row]
-    for i in range(columns - 1, -1, -1):
-        if not upper[i, i] > continuation.REGULAR * largest:
-            return inverse, False
-        for j in range(i + 1, columns):
-            factor = upper[i, j]
-            if factor != 0.0:
-                for row in range(rows):
-                    inverse[i, row] -= factor * inverse[j, row]
-        factor = 1.0 / upper[i, i]
-        for row in range(rows):
-            inverse[i, row] *= factor
-    return inverse, True
-
-
-@summing
-def _matrix_times(matrix, vector):  # type: ignore[no-untyped-def]
-    """Return the product of a small matrix and a vector, in a fraction of the time of a call to BLAS."""
-    result = np.empty(len(matrix))
-    for i in range(len(matrix)):
-        total = 0.0
-        for k in range(len(vector)):
-            total += matrix[i, k] * vector[k]
-        result[i] = total
-    return result
-
-
-@jit
 def _rotation_vector(r, vector):  # type: ignore[no-untyped-def]
     """Write the rotation vector of a rotation matrix, by the largest element of its quaternion."""
     q, i = np.empty(4), 0
@@ -642,8 +535,8 @@ def _rotation_vector(r, vector):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _aim(tree, q, target):  # type: ignore[no-untyped-def]
-    """Set the path from q to a target, as `Problem.aim` does."""
+def aim(tree, q, target):  # type: ignore[no-untyped-def]
+    """Set the path from q to a target: values of the driven joints, or the 16 numbers of a pose's matrix."""
     if tree.pose < 0:
         for k in range(len(tree.driven)):
             tree.values[0, k], tree.values[1, k] = q[tree.driven[k]], target[k]
@@ -651,10 +544,7 @@ def _aim(tree, q, target):  # type: ignore[no-untyped-def]
             tree.driven_rates[column] = (target[k] - q[tree.driven[k]]) / tree.units[column]
         return
     rotations, origins = placed(tree, q)
-    joint = tree.ends[tree.pose, 1]
-    carrier = matrix(rotations, joint)
-    start = product(carrier, matrix(tree.frame_rotation, 0))
-    place = plus(times(carrier, vector(tree.frame_place, 0)), vector(origins, joint))
+    start, place = axes_of(tree, rotations, tree.pose, 1), point_of(tree, rotations, origins, tree.pose, 1)
     _put(start, tree.pose_rotations, 0)
     tree.pose_places[0, 0], tree.pose_places[0, 1], tree.pose_places[0, 2] = place
     for i in range(3):
@@ -663,75 +553,3 @@ def _aim(tree, q, target):  # type: ignore[no-untyped-def]
         tree.pose_places[1, i] = target[4 * i + 3]
     _rotation_vector(product(matrix(tree.pose_rotations, 1), transposed(start)), tree.turn)
     tree.pose_turn[0] = length(tree.turn)
-
-
-_begin, _go_on = continuation.make_follower(_residual, _linearised, _moved, _left_inverse, _matrix_times, jit)
-
-
-def _run(tree, starts, targets, is_path, results):  # type: ignore[no-untyped-def]
-    """Write q of all targets; return the number of those reached, and the status, share and steps of the last path."""
-    q, off, jacobian = starts[0], 0.0, np.empty((0, 0))
-    inverse = jacobian
-    for k in range(len(targets)):
-        if not is_path:
-            q = starts[k]
-        _aim(tree, q, targets[k])
-        if k == 0 or tree.pose >= 0 or not (is_path or (q == starts[k - 1]).all()):
-            status, jacobian, inverse = _begin(tree, q)
-            off = 0.0
-            if status != continuation.DONE:
-                results[k] = q
-                return k, status, 0.0, 0
-        q, at_end, new, away, status, done, steps = _go_on(tree, q, jacobian, inverse, off)
-        results[k] = q
-        if status != continuation.DONE:
-            return k, status, done, steps
-        if is_path:
-            jacobian, inverse, off = at_end, new, away
-    return len(targets), continuation.DONE, 1.0, 0
-
-
-class _Announcement(event.Listener):
-    """Log that Numba begins to compile, not that it loads what is kept."""
-
-    def __init__(self) -> None:
-        self._announced = False
-
-    def on_start(self, event: Any) -> None:
-        if not self._announced:
-            _LOG.warning("spm_pin: compiling the loops of closed chains for this machine, once (about half a minute)")
-        self._announced = True
-
-    def on_end(self, event: Any) -> None:
-        pass
-
-
-class Kernel:
-    """A function, `call`, that is compiled or loaded from Numba's cache at its first call."""
-
-    def __init__(self, function: Callable[..., Any], *modules: str) -> None:
-        """`modules` are the files that the function is compiled from."""
-        self._function, self._modules = function, modules
-        self.is_loaded = False  # whether a call starts at once
-        self.call: Callable[..., Any] = self._first_call
-
-    def _first_call(self, *arguments: Any) -> Any:
-        with COMPILING:
-            if not self.is_loaded:
-                # Numba's cache looks at one file alone: the name that is kept has a digest of all that is compiled.
-                digest = hashlib.sha256(b"".join(Path(module).read_bytes() for module in self._modules)).hexdigest()
-                self._function.__qualname__ = f"{self._function.__name__}_{digest[:16]}"
-                signature = tuple(map(numba.typeof, arguments))
-                compiled: Any
-                try:
-                    with event.install_listener("numba:compile", _Announcement()):
-                        compiled = numba.njit(signature, error_model="numpy", nogil=True, cache=True)(self._function)
-                except Exception as error:  # nowhere to keep it, or a damaged file, which may raise anything
-                    _LOG.warning("spm_pin: Numba's cache cannot be used, see NUMBA_CACHE_DIR: %r", error)
-                    compiled = numba.njit(signature, error_model="numpy", nogil=True)(self._function)
-                # The function behind the dispatcher, which looks for the types of all arguments in a microsecond.
-                self.call, self.is_loaded = next(iter(compiled.overloads.values())).entry_point, True
-        return self.call(*arguments)
-
-
-run = Kernel(_run, __file__, str(continuation.__file__))

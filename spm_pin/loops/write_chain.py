@@ -14,13 +14,14 @@ import pinocchio as pin
 
 from spm_pin.errors import ArgumentError, DescriptionError
 from spm_pin.loops.closures import Anchor, Closure, JointEquality, RobotDescription
-from spm_pin.loops.links import JointKind, find_frame, place
+from spm_pin.loops.links import Joint, JointKind, find_frame, place
 from spm_pin.support.arguments import FloatArray, type_and_value
 from spm_pin.support.xml_elements import document, element, texts
 
 _URDF = {"hinge": "revolute", "slide": "prismatic", "free": "floating", "ball": "revolute"}
 _SDF = {"hinge": "revolute", "slide": "prismatic", "ball": "ball"}
 _YAML = {"point": "3d", "weld": "6d", "hinge": "hinge", "planar": "planar"}
+_LIMITS = ("lower", "upper", "effort", "velocity")
 _CLOSED = 1e-9
 _ARM = 0.1
 """Distance of the points that stand for a hinge or a weld [m]."""
@@ -44,27 +45,20 @@ def mjcf_text(chain: Any) -> str:
     model = robot.model
     by_bodies = robot.is_closed_at_reference()
     welds: list[Element] = []
-    for name, one, other in _pairs(robot, chain.closures, welds=False):
+    for name, one, other in _pairs(robot, welds=False):
         ends = {"body1": one.frame, "body2": other.frame, "anchor": one.placement.translation}
         if not by_bodies:
             ends = {"site1": f"{name}_first", "site2": f"{name}_second"}
             for site, anchor in zip(ends.values(), (one, other), strict=True):
                 robot.sites.append((str(site), anchor))
         welds.append(element("connect", name=name, **ends))
-    for closure in chain.closures:
+    for closure in robot.closures:
         if closure.kind == "weld":
-            one, other = map(robot.anchor, (closure.first, closure.second))
+            one, other = closure.first, closure.second
             relative = one.placement * other.placement.inverse()
-            welds.append(
-                element(
-                    "weld",
-                    name=closure.name or None,
-                    body1=one.frame,
-                    body2=other.frame,
-                    anchor=other.placement.translation,
-                    relpose=(*one.placement.translation, *_scalar_first(relative.rotation)),
-                )
-            )
+            relpose = (*one.placement.translation, *_scalar_first(relative.rotation))
+            ends = {"body1": one.frame, "body2": other.frame, "anchor": other.placement.translation}
+            welds.append(element("weld", name=closure.name, **ends, relpose=relpose))
     for equality in chain.equalities:
         zeros = [robot.reference(joint) for joint in (equality.joint, equality.driver)]
         shifted = np.polynomial.Polynomial(equality.coefficients)(
@@ -103,32 +97,23 @@ def urdf_texts(chain: Any) -> tuple[str, str]:
     robot = _Robot(chain, pin.neutral(chain.model))
     balls = [name for name, kind in robot.kinds.items() if kind == "ball"]
     loops = []
-    for count, closure in enumerate(chain.closures):
+    for closure in robot.closures:
         names = []
         for anchor, end in ((closure.first, "first"), (closure.second, "second")):
-            at = robot.anchor(anchor)
-            name = at.frame
-            if not at.placement.isIdentity(0.0) or name not in robot.links:
-                name = f"{closure.name or f'closure{count}'}_{end}"
-                robot.sites.append((name, at))
-            names.append(name)
+            names.append(anchor.frame)
+            if not anchor.placement.isIdentity(0.0):
+                names[-1] = f"{closure.name}_{end}"
+                robot.sites.append((names[-1], anchor))
         loops.append((names, _YAML[closure.kind]))
     mimics = {}
     for equality in chain.equalities:
         offset, factor = _line(equality)
         mimics[equality.joint] = element("mimic", joint=equality.driver, multiplier=factor, offset=offset)
-    parts: list[Element] = []
-    roots = robot.roots()
-    base = roots[0] if len(roots) == 1 and not robot.bodies[roots[0]].joints else "world"
-    if base == "world":
-        parts.append(element("link", name=base))
+    parts: list[Element] = [element("link", name="world")]
     for name, body in robot.bodies.items():
-        parts.append(_urdf_link(name, body.inertia))
-        if name != base:
-            parts.append(_urdf_joint(robot, name, body, base, mimics))
+        parts += [_urdf_link(name, body.inertia), _urdf_joint(robot, name, body, mimics)]
     for name, anchor in robot.sites:
-        parts.append(element("link", name=name))
-        parts.append(_fixed(name, base if anchor.frame == "world" else anchor.frame, anchor.placement))
+        parts += [element("link", name=name), _fixed(name, anchor.frame, anchor.placement)]
     for joint in chain.actuated:
         interface = element("hardwareInterface", text="hardware_interface/EffortJointInterface")
         kind = element("type", text="transmission_interface/SimpleTransmission")
@@ -137,7 +122,7 @@ def urdf_texts(chain: Any) -> tuple[str, str]:
             element("transmission", kind, element("joint", interface, name=joint), motor, name=f"{joint}_transmission")
         )
     if not balls:
-        parts += _drake(robot, chain.closures, base, as_texts=False)
+        parts += _drake(robot, as_texts=False)
     root = element("robot", *parts, **{"name": chain.model.name or "robot", "xmlns:drake": "http://drake.mit.edu"})
     lists = {
         "closed_loop": [names for names, _ in loops],
@@ -172,17 +157,17 @@ def sdf_text(chain: Any) -> str:
     for name, body in robot.bodies.items():
         parts += _sdf_body(robot, name, body, chain.actuated, mimics)
     if robot.is_closed_at_reference():
-        for count, closure in enumerate(chain.closures):
-            one, other = map(robot.anchor, (closure.first, closure.second))
+        for closure in robot.closures:
+            one, other = closure.first, closure.second
             kind = {"point": "ball", "weld": "fixed"}.get(closure.kind, "revolute")
             axis = element("axis", *texts(xyz=(0.0, 0.0, 1.0))) if kind == "revolute" else None
             if other.frame == "world" or robot.floats(other.frame):
                 one, other = other, one  # the child of a joint that closes a loop has a parent already
             ends = texts(parent=one.frame, child=other.frame)
             pose = element("pose", text=_xyzrpy(other.placement), relative_to=other.frame)
-            parts.append(element("joint", pose, *ends, axis, name=closure.name or f"closure{count}", type=kind))
+            parts.append(element("joint", pose, *ends, axis, name=closure.name, type=kind))
     else:
-        parts += _drake(robot, chain.closures, "world", as_texts=True)
+        parts += _drake(robot, as_texts=True)
     model = element("model", *parts, name=chain.model.name or "robot")
     return document(element("sdf", model, **{"version": "1.11", "xmlns:drake": "http://drake.mit.edu"}))
 
@@ -201,7 +186,7 @@ class _Robot:
 
     def __init__(self, chain: Any, reference: FloatArray, *, in_link_frames: bool = False, merge: bool = False) -> None:
         model = self.model = chain.model
-        self.chain, self.sites = chain, list[tuple[str, Anchor]]()
+        self.sites = list[tuple[str, Anchor]]()
         self.q = np.array(reference)
         self.data = model.createData()
         for joint in model.joints[1:]:
@@ -210,7 +195,6 @@ class _Robot:
         pin.framesForwardKinematics(model, self.data, self.q)
         self.kinds: dict[str, JointKind] = {model.names[i]: self._kind(i) for i in range(1, model.njoints)}
         self.bodies: dict[str, _Body] = {}
-        self.links: set[str] = {"world"}
         owners = {0: "world"}
         pending: tuple[int, ...] = ()
         closed = {
@@ -219,7 +203,8 @@ class _Robot:
         taken = {frame.name for frame in model.frames if frame.type != pin.FrameType.JOINT}
         for i in range(model.njoints):
             frames = [frame for frame in model.frames if frame.parentJoint == i and frame.type == pin.FrameType.BODY]
-            frames = [frame for frame in frames if frame.name != "universe"]
+            # A link of the world's name at its place is the world.
+            frames = [frame for frame in frames if frame.name not in ("universe", "world")]
             if i:
                 pending = (*pending, i)
                 alone = not frames and i not in closed and len(model.children[i]) == 1
@@ -232,17 +217,17 @@ class _Robot:
                     name += "_"
                 at = self.data.oMi[i] * (fitting[0].placement if fitting else pin.SE3.Identity())
                 inertia = (at.inverse() * self.data.oMi[i]).act(model.inertias[i])
-                self._add(name, _Body(parent, at, pending, inertia))
+                self.bodies[name] = _Body(parent, at, pending, inertia)
                 owners[i], pending = name, ()
             for frame in frames:
                 if frame.name not in self.bodies:
                     inertia = pin.Inertia.Zero()
-                    self._add(frame.name, _Body(owners[i], self.data.oMi[i] * frame.placement, (), inertia))
-        self.owners = owners
-
-    def _add(self, name: str, body: _Body) -> None:
-        self.bodies[name] = body
-        self.links.add(name)
+                    self.bodies[frame.name] = _Body(owners[i], self.data.oMi[i] * frame.placement, (), inertia)
+        self._owners = owners
+        self.closures = [
+            Closure(c.kind, self._anchor(c.first), self._anchor(c.second), c.name or f"closure{count}")
+            for count, c in enumerate(chain.closures)
+        ]
 
     def _kind(self, i: int) -> JointKind:
         joint = self.model.joints[i]
@@ -258,10 +243,21 @@ class _Robot:
             raise DescriptionError("chain", expected, f"{self.model.names[i]!r}, a {name}")
         return kinds[name]
 
-    def axis(self, i: int) -> FloatArray:
+    def _axis(self, i: int) -> FloatArray:
         """Return the axis of a joint in its own frame."""
         directions = self.data.joints[i].S.ravel()[:6]
         return np.asarray(directions[3:] if directions[3:].any() else directions[:3])
+
+    def joint(self, body: _Body, i: int) -> Joint:
+        """Return a joint of a link, from whose frame `before` and `axis` are."""
+        model, place, v = self.model, body.pose.actInv(self.data.oMi[i]), self.model.joints[i].idx_v
+        name, q = model.names[i], model.joints[i].idx_q
+        x, y, z = place.rotation @ self._axis(i)
+        limits = {"lower": model.lowerPositionLimit[q], "upper": model.upperPositionLimit[q]}
+        limits |= {"effort": model.upperEffortLimit[v], "velocity": model.upperVelocityLimit[v]}
+        dynamics = {"armature": model.armature[v], "damping": model.damping[v]}
+        friction = model.upperDryFrictionLimit[v]
+        return Joint(name, self.kinds[name], (x, y, z), place, **limits, **dynamics, friction=friction)
 
     def _fits(self, i: int, placement: Any, in_link_frames: bool) -> bool:
         """Return whether a link's frame may stand for the frame of the joint that carries it."""
@@ -269,12 +265,8 @@ class _Robot:
         if placement.isIdentity(0.0) or kind == "slide":
             return True
         if kind == "hinge":
-            return in_link_frames or bool(np.linalg.norm(np.cross(self.axis(i), at)) < 1e-15)
+            return in_link_frames or bool(np.linalg.norm(np.cross(self._axis(i), at)) < 1e-15)
         return kind == "ball" and in_link_frames and bool(np.array_equal(placement.rotation, np.eye(3)))
-
-    def roots(self) -> list[str]:
-        """Return the links that the world carries."""
-        return [name for name, body in self.bodies.items() if body.parent == "world"]
 
     def floats(self, name: str) -> bool:
         """Return whether a link is moved by a free joint."""
@@ -288,10 +280,10 @@ class _Robot:
         """Return the placement of a link in its parent."""
         return self.pose(body.parent).inverse() * body.pose
 
-    def anchor(self, anchor: Anchor) -> Anchor:
+    def _anchor(self, anchor: Anchor) -> Anchor:
         """Return the same place on a link."""
         frame = self.model.frames[find_frame(self.model, anchor.frame)]
-        name = frame.name if frame.name in self.bodies else self.owners[frame.parentJoint]
+        name = frame.name if frame.name in self.bodies else self._owners[frame.parentJoint]
         at = self.data.oMi[frame.parentJoint] * frame.placement
         placement = self.pose(name).inverse() * at * anchor.placement
         return Anchor(name, anchor.placement if name == frame.name else placement)
@@ -300,11 +292,14 @@ class _Robot:
         """Return the value of a joint at the reference."""
         return 0.0 if joint is None else float(self.q[self.model.joints[self.model.getJointId(joint)].idx_q])
 
+    def apart(self, one: Anchor, other: Anchor) -> Any:
+        """Return the placement of an anchor in another."""
+        return (self.pose(one.frame) * one.placement).actInv(self.pose(other.frame) * other.placement)
+
     def is_closed_at_reference(self) -> bool:
         """Return whether all loops are closed at the reference."""
-        for closure in self.chain.closures:
-            one, other = (self.pose(a.frame) * a.placement for a in map(self.anchor, (closure.first, closure.second)))
-            apart = one.inverse() * other
+        for closure in self.closures:
+            apart = self.apart(closure.first, closure.second)
             gaps = [*apart.translation[: 2 if closure.kind == "planar" else 3]]
             gaps += {"hinge": [*apart.rotation[:2, 2]], "weld": [*pin.log3(apart.rotation)]}.get(closure.kind, [])
             if np.abs(gaps).max() > _CLOSED:
@@ -322,22 +317,19 @@ class _Robot:
         return found
 
 
-def _pairs(robot: _Robot, closures: Sequence[Closure], *, welds: bool) -> Iterator[tuple[str, Anchor, Anchor]]:
+def _pairs(robot: _Robot, *, welds: bool) -> Iterator[tuple[str, Anchor, Anchor]]:
     """Yield pairs of points that coincide in a closed chain: one for a point, two for a hinge, three for a weld."""
-    for count, closure in enumerate(closures):
-        one, other = map(robot.anchor, (closure.first, closure.second))
-        directions = {"hinge": [[0.0, 0.0, _ARM]], "weld": [[_ARM, 0.0, 0.0], [0.0, _ARM, 0.0]] if welds else None}
-        further = directions.get(closure.kind, [])
-        if further is None:
+    further = {"hinge": [[0.0, 0.0, _ARM]], "weld": [[_ARM, 0.0, 0.0], [0.0, _ARM, 0.0]]}
+    for closure in robot.closures:
+        if closure.kind == "weld" and not welds:
             continue
+        one, other = closure.first, closure.second
         if closure.kind == "planar":
             # The points of a planar linkage are apart along its normal.
-            apart = (robot.pose(one.frame) * one.placement).inverse() * robot.pose(other.frame) * other.placement
-            one = Anchor(one.frame, one.placement * place((0.0, 0.0, apart.translation[2])))
-        for number, direction in enumerate([[0.0, 0.0, 0.0], *further]):
-            name = closure.name or f"closure{count}"
+            one = Anchor(one.frame, one.placement * place((0.0, 0.0, robot.apart(one, other).translation[2])))
+        for number, direction in enumerate([[0.0, 0.0, 0.0], *further.get(closure.kind, ())]):
             first, second = (Anchor(a.frame, place(a.placement.act(np.array(direction)))) for a in (one, other))
-            yield f"{name}_{number}" if number else name, first, second
+            yield f"{closure.name}_{number}" if number else closure.name, first, second
 
 
 def _line(equality: JointEquality) -> tuple[float, float]:
@@ -369,38 +361,35 @@ def _mjcf_body(robot: _Robot, name: str, body: _Body) -> Element:
 
 
 def _mjcf_joint(robot: _Robot, body: _Body, i: int) -> Element:
-    model, name = robot.model, robot.model.names[i]
-    kind, joint = robot.kinds[name], model.joints[i]
-    if kind == "free":
-        if body.parent != "world" or not model.jointPlacements[i].isIdentity(0.0):
-            raise DescriptionError("chain", "free joints of the world, for MuJoCo", repr(name))
-        return element("freejoint", name=name)
-    at = body.pose.inverse() * robot.data.oMi[i]
-    values: dict[str, Any] = {"name": name, "type": kind}
-    values |= {} if kind == "slide" else {"pos": at.translation}
-    if kind != "ball":
-        values |= {"axis": at.rotation @ robot.axis(i), "ref": robot.q[joint.idx_q]}
-        lower, upper = model.lowerPositionLimit[joint.idx_q], model.upperPositionLimit[joint.idx_q]
-        if np.isfinite(lower) and np.isfinite(upper):
-            values["range"] = (lower, upper)
-        effort = model.upperEffortLimit[joint.idx_v]
-        if np.isfinite(effort) and effort > 0.0:
-            values["actuatorfrcrange"] = (-effort, effort)
-    dynamics = {"armature": model.armature, "damping": model.damping, "frictionloss": model.upperDryFrictionLimit}
-    values |= {key: table[joint.idx_v] for key, table in dynamics.items() if table[joint.idx_v]}
-    return element("joint", **values)
+    joint = robot.joint(body, i)
+    if joint.kind == "free":
+        if body.parent != "world" or not robot.model.jointPlacements[i].isIdentity(0.0):
+            raise DescriptionError("chain", "free joints of the world, for MuJoCo", repr(joint.name))
+        return element("freejoint", name=joint.name)
+    values: dict[str, Any] = {"name": joint.name, "type": joint.kind}
+    values |= {} if joint.kind == "slide" else {"pos": joint.before.translation}
+    if joint.kind != "ball":
+        values |= {"axis": joint.axis, "ref": robot.reference(joint.name)}
+        if np.isfinite([joint.lower, joint.upper]).all():
+            values["range"] = (joint.lower, joint.upper)
+        if np.isfinite(joint.effort) and joint.effort > 0.0:
+            values["actuatorfrcrange"] = (-joint.effort, joint.effort)
+    dynamics = {"armature": joint.armature, "damping": joint.damping, "frictionloss": joint.friction}
+    return element("joint", **values, **{key: value for key, value in dynamics.items() if value})
+
+
+def _moments(inertia: Any) -> dict[str, float]:
+    tensor = inertia.inertia
+    keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    return {key: tensor["xyz".index(key[1]), "xyz".index(key[2])] for key in keys}
 
 
 def _urdf_link(name: str, inertia: Any) -> Element:
     if not inertia.mass:
         return element("link", name=name)
-    moments = inertia.inertia
-    keys = {
-        key: moments["xyz".index(key[1]), "xyz".index(key[2])] for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-    }
     origin = element("origin", xyz=inertia.lever, rpy=np.zeros(3))
-    inertial = element("inertial", origin, element("mass", value=inertia.mass), element("inertia", **keys))
-    return element("link", inertial, name=name)
+    moments = element("inertia", **_moments(inertia))
+    return element("link", element("inertial", origin, element("mass", value=inertia.mass), moments), name=name)
 
 
 def _fixed(name: str, parent: str, placement: Any) -> Element:
@@ -412,84 +401,59 @@ def _origin(placement: Any) -> Element:
     return element("origin", xyz=placement.translation, rpy=pin.rpy.matrixToRpy(placement.rotation))
 
 
-def _urdf_joint(robot: _Robot, name: str, body: _Body, base: str, mimics: Mapping[str, Element]) -> Element:
-    parent = base if body.parent == "world" else body.parent
+def _urdf_joint(robot: _Robot, name: str, body: _Body, mimics: Mapping[str, Element]) -> Element:
     if not body.joints:
-        return _fixed(name, parent, robot.placement(body))
+        return _fixed(name, body.parent, robot.placement(body))
     (i,) = body.joints
-    joint, label = robot.model.joints[i], robot.model.names[i]
-    kind = robot.kinds[label]
-    parts = [element("parent", link=parent), element("child", link=name), _origin(robot.placement(body))]
-    if kind in ("hinge", "slide"):
-        axis = (body.pose.inverse() * robot.data.oMi[i]).rotation @ robot.axis(i)
-        limits = _limits(robot.model, joint)
-        dynamics = {"damping": robot.model.damping, "friction": robot.model.upperDryFrictionLimit}
-        parts += [element("axis", xyz=axis), element("limit", **limits)]
-        parts.append(element("dynamics", **{key: table[joint.idx_v] for key, table in dynamics.items()}))
-        unlimited = kind == "hinge" and not np.isfinite([limits["lower"], limits["upper"]]).all()
-    else:
-        unlimited = False
-        if kind == "ball":
-            parts.append(element("limit", lower=-np.pi, upper=np.pi, effort=0.0, velocity=1e3))
-    if label in mimics:
-        parts.append(mimics[label])
-    return element("joint", *parts, name=label, type="continuous" if unlimited else _URDF[kind])
-
-
-def _limits(model: Any, joint: Any) -> dict[str, float]:
-    return {
-        "lower": model.lowerPositionLimit[joint.idx_q],
-        "upper": model.upperPositionLimit[joint.idx_q],
-        "effort": model.upperEffortLimit[joint.idx_v],
-        "velocity": model.upperVelocityLimit[joint.idx_v],
-    }
+    joint, kind = robot.joint(body, i), _URDF[robot.joint(body, i).kind]
+    parts = [element("parent", link=body.parent), element("child", link=name), _origin(robot.placement(body))]
+    if joint.kind in ("hinge", "slide"):
+        limits = {key: getattr(joint, key) for key in _LIMITS}
+        dynamics = element("dynamics", damping=joint.damping, friction=joint.friction)
+        parts += [element("axis", xyz=joint.axis), element("limit", **limits), dynamics]
+        if joint.kind == "hinge" and not np.isfinite([joint.lower, joint.upper]).all():
+            kind = "continuous"
+    elif joint.kind == "ball":
+        parts.append(element("limit", lower=-np.pi, upper=np.pi, effort=0.0, velocity=1e3))
+    if joint.name in mimics:
+        parts.append(mimics[joint.name])
+    return element("joint", *parts, name=joint.name, type=kind)
 
 
 def _sdf_body(
     robot: _Robot, name: str, body: _Body, actuated: Sequence[str], mimics: Mapping[str, Element]
 ) -> Iterator[Element]:
-    inertia = body.inertia
     # Without these lines a link has a mass of 1 kg.
-    tensor = inertia.inertia if inertia.mass else np.zeros((3, 3))
-    keys = {key: tensor["xyz".index(key[1]), "xyz".index(key[2])] for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")}
+    inertia = body.inertia if body.inertia.mass else pin.Inertia.Zero()
     centre = element("pose", text=(*inertia.lever, 0.0, 0.0, 0.0)) if inertia.mass else None
-    inertial = element("inertial", centre, *texts(mass=inertia.mass), element("inertia", *texts(**keys)))
+    inertial = element("inertial", centre, *texts(mass=inertia.mass), element("inertia", *texts(**_moments(inertia))))
     yield element("link", element("pose", text=_xyzrpy(body.pose)), inertial, name=name)
-    kind = robot.kinds[robot.model.names[body.joints[0]]] if body.joints else None
-    if kind == "free":
-        if body.parent != "world":
-            raise DescriptionError(
-                "chain", "free joints of the world, for SDF", repr(robot.model.names[body.joints[0]])
-            )
-        return
     ends = texts(parent=body.parent, child=name)
-    if kind is None:
+    if not body.joints:
         yield element("joint", *ends, name=f"{name}_fixed", type="fixed")
         return
     (i,) = body.joints
-    joint, label = robot.model.joints[i], robot.model.names[i]
+    joint = robot.joint(body, i)
+    if joint.kind == "free":
+        if body.parent != "world":
+            raise DescriptionError("chain", "free joints of the world, for SDF", repr(joint.name))
+        return
     axis = None
-    if kind != "ball":
-        direction = (body.pose.inverse() * robot.data.oMi[i]).rotation @ robot.axis(i)
-        limits = _limits(robot.model, joint)
-        limits["effort"] = (limits["effort"] if np.isfinite(limits["effort"]) else -1.0) if label in actuated else 0.0
-        limits = {key: value for key, value in limits.items() if np.isfinite(value)}
-        dynamics = {"damping": robot.model.damping, "friction": robot.model.upperDryFrictionLimit}
-        lines = texts(**{key: table[joint.idx_v] for key, table in dynamics.items()})
-        following = mimics.get(label)
-        parts = [*texts(xyz=direction), element("limit", *texts(**limits)), element("dynamics", *lines), following]
-        axis = element("axis", *parts)
-    yield element("joint", *ends, axis, name=label, type=_SDF[kind])
+    if joint.kind != "ball":
+        limits = {key: getattr(joint, key) for key in _LIMITS}
+        limits["effort"] = (joint.effort if np.isfinite(joint.effort) else -1.0) if joint.name in actuated else 0.0
+        limit = element("limit", *texts(**{key: value for key, value in limits.items() if np.isfinite(value)}))
+        dynamics = element("dynamics", *texts(damping=joint.damping, friction=joint.friction))
+        axis = element("axis", *texts(xyz=joint.axis), limit, dynamics, mimics.get(joint.name))
+    yield element("joint", *ends, axis, name=joint.name, type=_SDF[joint.kind])
 
 
-def _drake(robot: _Robot, closures: Sequence[Closure], base: str, *, as_texts: bool) -> Iterator[Element]:
+def _drake(robot: _Robot, *, as_texts: bool) -> Iterator[Element]:
     """Yield Drake's ball constraints, whose values are attributes in URDF files, texts in SDF files."""
     tag = "drake:ball_constraint"
-    for _, one, other in _pairs(robot, closures, welds=True):
-        values: dict[str, Any] = {}
-        for anchor, body, point in ((one, "body_A", "p_AP"), (other, "body_B", "p_BQ")):
-            values[body] = base if anchor.frame == "world" else anchor.frame
-            values[point] = anchor.placement.translation
+    for _, one, other in _pairs(robot, welds=True):
+        values: dict[str, Any] = {"body_A": one.frame, "p_AP": one.placement.translation}
+        values |= {"body_B": other.frame, "p_BQ": other.placement.translation}
         if as_texts:
             yield element(tag, *texts(**{f"{tag}_{key}": value for key, value in values.items()}))
         else:

@@ -47,30 +47,23 @@ def name_of(node: Element, where: str, key: str = "name") -> str:
     return name
 
 
-def numbers(text: str | None, count: int, where: str, default: Any = None) -> FloatArray:
-    """Return `count` finite numbers of a text; the default if there is no text."""
+def numbers(text: str | None, count: int, where: str, default: Any = None, *, finite: bool = True) -> FloatArray:
+    """Return `count` numbers of a text; the default if there is no text."""
     if (text is None or not text.strip()) and default is not None:
-        return np.array(default, dtype=float)
+        return np.array(default, dtype=float).reshape(count)
     try:
         found = np.array([float(word) for word in (text or "").split()])
     except ValueError:
         found = np.array([np.nan])
-    if found.shape != (count,) or not np.isfinite(found).all():
-        raise DescriptionError(where, f"{count} finite number{'s' if count > 1 else ''}", repr(text))
+    if found.shape != (count,) or np.isnan(found).any() or (finite and np.isinf(found).any()):
+        expected = f"{count} finite number{'s' if count > 1 else ''}" if finite else "a number"
+        raise DescriptionError(where, expected, repr(text))
     return found
 
 
 def number(text: str | None, where: str, default: float | None = None) -> float:
     """Return a number, which may be infinite; the default if there is no text."""
-    if (text is None or not text.strip()) and default is not None:
-        return default
-    try:
-        found = float(text or "")
-    except ValueError:
-        found = np.nan
-    if np.isnan(found):
-        raise DescriptionError(where, "a number", repr(text))
-    return found
+    return float(numbers(text, 1, where, default, finite=False)[0])
 
 
 def unit_axis(text: str | None, where: str, default: Any) -> tuple[float, float, float]:

@@ -26,8 +26,8 @@ from spm_pin.description.tree import srdf_text
 from spm_pin.errors import ArgumentError, ClosureError, DescriptionError, SingularConfigurationError
 from spm_pin.kinematics.forward_displacement import forward_physical
 from spm_pin.kinematics.inverse_displacement import physical_at_poses
-from spm_pin.loops.batched_state import at_index
 from spm_pin.loops.closed_chain import ClosedChain as LoopChain
+from spm_pin.loops.loop_state import at_index
 from spm_pin.loops.state_kinematics import AGREEMENT
 from spm_pin.machine.configuration import Configuration, check_configuration
 from spm_pin.machine.joint_angles import joint_angles, value_names
@@ -36,8 +36,7 @@ from spm_pin.machine.machine import Machine, check_machine
 from spm_pin.machine.manipulator import Manipulator, check_rps, check_same_machine
 from spm_pin.machine.stage import Stage
 from spm_pin.multibody.chain_state import ChainState
-from spm_pin.multibody.closure_solvers import close_loops, follow_legs, follow_pose
-from spm_pin.multibody.constrained_model import ConstrainedModel, TreeKinematics, read_vectors
+from spm_pin.multibody.constrained_model import ConstrainedModel, TreeKinematics, read_vectors, widest
 from spm_pin.multibody.mounting import MountedChain, mount
 from spm_pin.multibody.simulation import ForceFunction, Simulation, run_simulation
 from spm_pin.multibody.trajectory import JointTrajectory, PlatformMotion, PlatformPath, read_motion
@@ -53,6 +52,11 @@ from spm_pin.support.arguments import (
 from spm_pin.support.files import file_path
 from spm_pin.support.pose import PoseLike, as_rigid_transform
 
+MOST_STEPS, SHORTEST_SHARE = 50, 2.0**-10
+"""Largest number of Newton steps of `project`, and share of a step below which it ends without a solution."""
+CLOSED = 32.0 * float(np.finfo(np.float64).eps)
+"""Gap that rounding explains, as a share of the longest loop."""
+
 
 class ClosedChain:
     """The spanning tree of a machine's description in Pinocchio, and the closures of its loops; read-only.
@@ -60,9 +64,9 @@ class ClosedChain:
     Made by `from_urdf`. {B} is the link `base` and Pinocchio's universe. The chain finds joint values q [rad, m]
     that close the loops, in the order of `joint_names`; rates, forces and dynamics at q are methods of its `state`.
     Arguments are of one state or of a batch (..., nq), and leading axes of several broadcast. Pinocchio computes one
-    state at a time, so that a batch takes as long as its members; `joint_values`, and `forward_kinematics` and
-    `inverse_kinematics` without `near`, are vectorised. nq = nv = 18, or 9 for a stage; the actuators are the n = 6 or
-    3 legs.
+    state at a time, so that a batch takes as long as its members; `joint_values`, `forward_kinematics`,
+    `inverse_kinematics` and large batches of `forward_dynamics` are vectorised or compiled, on the way or in advance by
+    `loops.compile()`. nq = nv = 18, or 9 for a stage; the actuators are the n = 6 or 3 legs.
 
     A single state that is singular or not closed raises; in a batch such members are NaN, and `failures` of a `state`
     of the batch says why. Joint values of a calibrated machine are zero at the nominal home, where its loops are open
@@ -260,7 +264,29 @@ class ClosedChain:
         side. Raises `ClosureError` if the loops do not close to rounding in fifty steps.
         """
         state, shape = self._at(q), (self.model.nq,)
-        return np.array(state._each_member(lambda: close_loops(state.kinematics, state.kinematics.q, most=50), shape))
+        return np.array(state._each_member(lambda: self._closed(state.kinematics), shape))
+
+    def _closed(self, kinematics: TreeKinematics) -> FloatArray:
+        """Return closed joint values near those of the kinematics, which are left there, or raise `ClosureError`."""
+        constrained, q = self._constrained, kinematics.q
+        tolerance, units = CLOSED * self.loops.rows.size, constrained.units
+        for iteration in range(MOST_STEPS + 1):
+            gap, share = kinematics.residual, 1.0
+            if widest(gap) <= tolerance:
+                return q
+            move = units * np.linalg.lstsq(kinematics.jacobian * units, -gap, rcond=None)[0]
+            while share >= SHORTEST_SHARE and iteration < MOST_STEPS:
+                tried = q + share * move
+                if (constrained.readings(tried) >= constrained.least_readings).all():
+                    kinematics.evaluate(tried)
+                    # To first order a share of the step shrinks the gaps by that share: a quarter of that is required.
+                    if np.linalg.norm(kinematics.residual) <= (1.0 - 0.25 * share) * np.linalg.norm(gap):
+                        q = tried
+                        break
+                share *= 0.5
+            else:
+                break
+        raise ClosureError(widest(gap), iteration, "Too far from any closed q?")
 
     def forward_kinematics(self, readings: npt.ArrayLike, near: npt.ArrayLike | None = None) -> FloatArray:
         """Return all joint values (..., nq) for readings (..., n) [m] ([rad] for RRS legs).
@@ -278,7 +304,9 @@ class ClosedChain:
             expected = "readings that the physical assembly mode can have"
             state = forward_physical(self.machine, readings)
             return self._physical_values(state, "readings", expected, lambda: _listed(readings))
-        return self._follow(near, follow_legs, self._without_offsets(readings), axes=(1,))
+        q = self._constrained.read_q(near, "near", single=True)
+        values = self._without_offsets(readings) - self._constrained.home_readings
+        return self._explained(lambda: self.loops.forward(values, q), q, "forward_factors")
 
     def inverse_kinematics(self, pose: PoseLike, near: npt.ArrayLike | None = None) -> FloatArray:
         """Return all joint values (..., nq) for a pose (...) of the terminal platform, {m} in {B}.
@@ -299,7 +327,7 @@ class ClosedChain:
                 "poses that a physical branch has",
                 lambda: f"o at {_listed(place)} m, turned by the rotation vector {_listed(rotation.as_rotvec())} rad",
             )
-        return self._follow(near, follow_pose, transform.rotation.as_matrix(), transform.translation, axes=(2, 1))
+        return self._follow(self._constrained.read_q(near, "near", single=True), transform)
 
     def _physical_values(
         self,
@@ -316,22 +344,27 @@ class ClosedChain:
             raise ArgumentError(argument, expected, received(), cause)
         return self._values_of(configuration)
 
-    def _follow(
-        self, near: npt.ArrayLike, follow: Callable[..., FloatArray], *targets: FloatArray, axes: tuple[int, ...]
-    ) -> FloatArray:
-        """Return q of each target, starting from the one before; `axes` counts the axes of a target per array."""
-        q = self._constrained.read_q(near, "near", single=True)
-        kinematics: TreeKinematics = self._at(q).kinematics
-        kinematics.check_closed()
-        shape = targets[0].shape[: targets[0].ndim - axes[0]]
-        path = np.empty((*shape, q.size))
-        for index in np.ndindex(shape):
-            try:
-                q = follow(kinematics, q, *(array[index] for array in targets))
-            except (ArgumentError, ClosureError, SingularConfigurationError) as error:
-                raise at_index(error, index) from error
-            path[index] = q
-        return path
+    def _follow(self, q: FloatArray, pose: RigidTransform) -> FloatArray:
+        """Return q of each pose (...), starting from the one before, for a stage of its normal and height."""
+        targets, rows = pose.as_matrix(), tuple(range(6))
+        if self.machine.is_stage:
+            rows, turned = (2, 3, 4), self._at(q).kinematics.terminal_pose()[0]
+            # The spin is free: each normal is reached by the smallest turn from the one before.
+            for target in targets.reshape(-1, 4, 4):
+                turned = pin.Quaternion.FromTwoVectors(turned[:, 2], target[:3, 2]).matrix() @ turned
+                target[:3, :3] = turned
+        platform = self._constrained.platform
+        return self._explained(lambda: self.loops.inverse(platform, targets, q, rows), q, "inverse_factors")
+
+    def _explained(self, path: Callable[[], FloatArray], q: FloatArray, factors: str) -> FloatArray:
+        """Return the result of `path`, or raise the error that q, where it starts, is open or singular, if it is."""
+        try:
+            return path()
+        except (ArgumentError, ClosureError):
+            kinematics: TreeKinematics = self._at(q).kinematics
+            kinematics.check_closed()
+            getattr(kinematics, factors)
+            raise
 
     def joint_trajectory(
         self, path: Callable[[float], PlatformMotion], times: npt.ArrayLike, near: npt.ArrayLike
@@ -343,29 +376,24 @@ class ClosedChain:
         (nq,) is a closed q in the branch wanted, near the path's start. Raises as `inverse_kinematics`, with the index
         of the time, and `UnreachableError` where a leg is beyond the limits of the machine.
         """
-        q, t = self._constrained.read_q(near, "near", single=True), increasing_times(times)
-        check_function(path, "path", "t", meaning=", such as a PlatformPath")
-        state, rows = self.state(q), []
-        state.kinematics.check_closed()
-        # All at once where that is known to be allowed.
-        motions = zip(*path(t), strict=True) if isinstance(path, PlatformPath) else map(path, t.tolist())
-        for k, motion in enumerate(motions):
+        near, t = self._constrained.read_q(near, "near", single=True), increasing_times(times)
+        motions = _motions(path, t)
+        positions = self._follow(near, motions.pose)
+        state, rows = self.state(near), []
+        for k, (q, twist, acceleration) in enumerate(zip(positions, motions.twist, motions.acceleration, strict=True)):
             try:
-                pose, twist, acceleration = read_motion(motion)
-                q = follow_pose(state.kinematics, q, pose.rotation.as_matrix(), pose.translation)
                 v = state.update(q).velocities_along(twist)
                 a = state.update(q, v)._accelerations_along(twist, acceleration)
-                efforts = np.zeros(q.size)
-                efforts[self.leg_indices] = state.inverse_dynamics(a)
+                rows.append((v, a, state.inverse_dynamics(a)))
             except (ArgumentError, ClosureError, SingularConfigurationError) as error:
                 raise at_index(error, (k,)) from error
-            rows.append((q, v, a, efforts, self.readings(q), pose.as_matrix()))
-        positions, v, a, efforts, readings, poses = (np.array(column) for column in zip(*rows, strict=True))
+        v, a, forces = (np.array(column) for column in zip(*rows, strict=True))
+        efforts, readings = np.zeros(positions.shape), self.readings(positions)
+        efforts[:, self.leg_indices] = forces
         check_path_readings(self.machine.limits, self.machine.legs.units, readings, "path", t, "time")
-        pose = RigidTransform.from_matrix(poses)
         columns, legs = tuple(self.leg_indices.tolist()), self.machine.legs
         of_joints = positions, v, a, efforts, readings
-        return JointTrajectory(self.joint_names, t, *of_joints, pose, columns, legs.units, legs.names)
+        return JointTrajectory(self.joint_names, t, *of_joints, motions.pose, columns, legs.units, legs.names)
 
     def simulate(
         self,
@@ -395,6 +423,22 @@ class ClosedChain:
             Wrench onto the terminal platform: constant, or a function (t, q, v) → (6,).
         """
         return run_simulation(self._constrained, q0, v0, times, forces, wrench, period, tolerance)
+
+
+def _motions(path: Callable[[float], PlatformMotion], times: FloatArray) -> PlatformMotion:
+    """Return the motion along a path at times (n,), or raise `ArgumentError`."""
+    check_function(path, "path", "t", meaning=", such as a PlatformPath")
+    if isinstance(path, PlatformPath):
+        return path(times)
+    motions = []
+    for k, time in enumerate(times.tolist()):
+        try:
+            motions.append(read_motion(path(time)))
+        except ArgumentError as error:
+            raise at_index(error, (k,)) from error
+    poses, twists, accelerations = zip(*motions, strict=True)
+    matrices = np.array([pose.as_matrix() for pose in poses])
+    return PlatformMotion(RigidTransform.from_matrix(matrices), np.array(twists), np.array(accelerations))
 
 
 def _listed(numbers: npt.ArrayLike) -> str:

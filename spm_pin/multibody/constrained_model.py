@@ -25,7 +25,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import pinocchio as pin
 from scipy.linalg import lapack
 
 from spm_pin.description.source_files import Closure
@@ -70,6 +69,11 @@ def read_vectors(value: npt.ArrayLike, argument: str, size: int, *, single: bool
     return array
 
 
+def widest(gap: FloatArray) -> float:
+    """Return the largest distance of two points that a closure holds together [m], from the rows (3 n,) of all."""
+    return float(np.linalg.norm(gap.reshape(-1, 3), axis=-1).max())
+
+
 class SingularValues(NamedTuple):
     """Smallest singular values at a configuration, dimensionless; each is named after what its zero means.
 
@@ -97,11 +101,6 @@ class Factors(NamedTuple):
         """Return whether the reciprocal condition number of the matrix that was factorised is above `SUSPECT`."""
         norm = lapack.dlange("1", matrix)  # type: ignore[call-arg]
         return not self.zero_pivot and bool(lapack.dgecon(self.lu, norm)[0] > SUSPECT)
-
-    def determinant(self) -> float:
-        """Return the determinant."""
-        swaps = sum(place != k for k, place in enumerate(self.pivots.tolist()))
-        return float(math.prod(self.lu.diagonal().tolist()) * (-1.0) ** swaps)
 
     def solve(self, right_side: FloatArray) -> FloatArray:
         """Return A⁻¹ b, for one or several columns b."""
@@ -147,14 +146,11 @@ class ConstrainedModel:
         # Without offsets; RPS legs have no negative length.
         self.home_readings = home_readings(machine)
         self.least_readings = machine.legs.least_readings
-        # d, and the part of platforms and links in the length of a loop [m].
+        # d [m].
         self.side = machine.ball_side
-        self._fixed_sizes = sum(base for base, _ in machine.stage_radii) + self.side
-        self._fixed_sizes += sum(float(kind.links.sum()) for kind in machine.legs.kinds)
         # Units of a step of order one in each joint: 1 rad, or d.
-        self._are_lengths = np.array(machine.legs.units) == "m"
         self.units = np.ones(len(names))
-        self.units[self.legs[self._are_lengths]] = self.side
+        self.units[self.legs[np.array(machine.legs.units) == "m"]] = self.side
         self.platform = prefix + ("platform" if self.is_stage else "terminal_platform")
         self.platform_frame = int(model.getFrameId(self.platform))
         # A stage's corners follow from the pose of its platform.
@@ -189,11 +185,6 @@ class ConstrainedModel:
             worst = np.unravel_index(int(short.argmin()), short.shape)
             received = f"{readings[worst]:g} m in {self.machine.legs.names[worst[-1]]}"
             raise ArgumentError(argument, "legs of no negative length", received, cause)
-
-    def rounding(self, q: FloatArray) -> float:
-        """Return the size of a gap that rounding explains [m]: a few eps times the length of the loops."""
-        lengths = np.abs(self.readings(q)).sum(where=self._are_lengths)
-        return 32.0 * float(np.finfo(np.float64).eps) * float(self._fixed_sizes + lengths)
 
     def read_q(self, q: npt.ArrayLike, argument: str = "q", *, single: bool = False) -> FloatArray:
         """Return joint values (..., nq) as an array, or raise `ArgumentError`."""
@@ -231,9 +222,7 @@ class TreeKinematics(StateKinematics):
 
     def platform_drift(self, v: FloatArray) -> FloatArray:
         """Return the acceleration of m (6,) where no joint accelerates."""
-        pin.forwardKinematics(self.model, self.data, self.q, v, self.zero_velocity)
-        frame = self.model, self.data, self.constrained.platform_frame, pin.LOCAL_WORLD_ALIGNED
-        return np.asarray(pin.getFrameClassicalAcceleration(*frame).vector)
+        return self.frame_acceleration(self.constrained.platform_frame, v, self.zero_velocity)
 
     def terminal_pose(self) -> tuple[FloatArray, FloatArray]:
         """Return copies of the rotation (3, 3) and the translation (3,) of m."""
@@ -282,8 +271,10 @@ class TreeKinematics(StateKinematics):
         return True
 
     def accelerate(self, q: FloatArray, v: FloatArray, forces: FloatArray) -> bool:
-        """Do the same as the base, which has no notion of the balls' angles, at the q of `evaluate`."""
-        self.check_ball_angles()
+        """Do the same as the base, but leave a ball at ±90° to `check_ball_angles`."""
+        angles = [angle for place, _ in self._middles for angle in q[place :: self.model.nq].tolist()]
+        if any(abs(math.cos(angle)) <= SINGULAR for angle in angles):
+            return False
         return super().accelerate(q, v, forces)
 
     def velocities_along(self, platform: FloatArray, opening: FloatArray | None = None) -> FloatArray:
@@ -343,18 +334,6 @@ class TreeKinematics(StateKinematics):
         """Return the smallest singular values of K̂, N̂ and Jc C / d."""
         self.check_ball_angles()
         return SingularValues(*(float(np.linalg.svd(m, compute_uv=False)[-1]) for m in self.scaled_matrices()))
-
-    def forward_determinant(self) -> float:
-        """Return the determinant of N in scaled velocities, but for a constant factor of the model."""
-        return self._scaled_determinant(self.forward_factors)
-
-    def inverse_determinant(self) -> float:
-        """Return the determinant of K in scaled velocities, but for a constant factor of the model."""
-        return self._scaled_determinant(self.inverse_factors)
-
-    def _scaled_determinant(self, factors: Factors) -> float:
-        # The cosines are, but for its sign, the determinant of what maps rates of balls' joints to angular velocities.
-        return factors.determinant() / math.prod(math.cos(self.q.item(place)) for place, _ in self._middles)
 
     def check_ball_angles(self) -> None:
         """Raise `ArgumentError` where a ball joint's middle angle is ±90°."""

@@ -10,8 +10,7 @@ import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
 from spm_pin.loops.forward_simulation import LoopMotion, SimulationEnd, simulate
-from spm_pin.multibody.closure_solvers import widest
-from spm_pin.multibody.constrained_model import ConstrainedModel, TreeKinematics, read_vectors
+from spm_pin.multibody.constrained_model import ConstrainedModel, TreeKinematics, read_vectors, widest
 from spm_pin.support.arguments import FloatArray
 
 ForceFunction = Callable[[float, FloatArray, FloatArray], npt.ArrayLike]

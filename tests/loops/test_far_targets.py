@@ -20,22 +20,23 @@ def make_judge() -> Any:
     """Return a compiled function: Newton's method at equal small steps, without any of the tests of `continuation`."""
     import numba
 
+    from spm_pin.loops import continuation
     from spm_pin.loops import tree_kernel as kernel
 
     @numba.njit(error_model="numpy")  # type: ignore[untyped-decorator]
     def judge(tree, start, target, steps):  # type: ignore[no-untyped-def]
         """Return q after the last step, and the share of the way that was possible."""
-        kernel._aim(tree, start, target)
+        kernel.aim(tree, start, target)
         q, none = start, np.zeros(len(tree.columns))
         for k in range(1, steps + 1):
-            q, moved, change = kernel._moved(tree, q, k / steps, none), np.zeros(len(none)), np.ones(1)
+            q, moved, change = kernel.moved(tree, q, k / steps, none), np.zeros(len(none)), np.ones(1)
             for _ in range(8):
-                c, jacobian, _, _ = kernel._linearised(tree, q, k / steps)
-                inverse, regular = kernel._left_inverse(jacobian)
+                c, jacobian, _ = kernel.linearised(tree, q, k / steps)
+                inverse, regular = continuation.left_inverse(jacobian)
                 if not regular:
                     break
-                change = -kernel._matrix_times(inverse, c)
-                q, moved = kernel._moved(tree, q, k / steps, change), moved + np.abs(change)
+                change = -continuation.product(inverse, c)
+                q, moved = kernel.moved(tree, q, k / steps, change), moved + np.abs(change)
                 if np.abs(change).max() < 1e-11:
                     break
             if not (np.abs(change).max() < 1e-9 and moved.max() < 0.1):
@@ -49,11 +50,9 @@ def make_judge() -> Any:
 @pytest.mark.parametrize("name", ROBOTS)
 def test_no_far_target_is_reached_in_another_mode(name: str) -> None:
     pytest.importorskip("numba")
-    from spm_pin.loops.tree_kernel import PlainTree, tree_of
-
     chain: ClosedChain = ROBOTS[name]()
     chain.compile()
-    tree, judge, lost, reached = PlainTree(tree_of(chain._follower(None, ())._problem)), make_judge(), 0, 0
+    tree, judge, lost, reached = chain._follower(None, ()).tree, make_judge(), 0, 0
     change = np.random.default_rng(11).uniform(-1.0, 1.0, (TARGETS, len(chain.actuated)))
     for target in chain.q0[chain.actuated_in_q] + change * chain.rows.units[chain.actuated_in_v]:
         try:

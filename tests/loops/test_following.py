@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,9 @@ from spm_pin.errors import ArgumentError, ClosureError
 from spm_pin.loops import following
 from spm_pin.loops.closed_chain import ClosedChain
 from spm_pin.loops.closures import Anchor, JointEquality
-from spm_pin.loops.constraint_rows import LoopKinematics
+from spm_pin.loops.continuation import run
+from spm_pin.loops.state_kinematics import StateKinematics
+from spm_pin.loops.tree_kernel import aim, linearised, moved
 from tests.loops.robots import ROBOTS, ankle, at, closure, delta, five_bar, four_bar, hinge, pose_of, stewart
 
 
@@ -37,17 +40,17 @@ def far_targets(chain: ClosedChain, number: int, share: float) -> Any:
 
 def by_small_steps(chain: ClosedChain, values: Any, steps: int = 200) -> tuple[Any, float]:
     """Return q at the end of a way by small steps of least squares, or where it ends, and the share of the way."""
-    problem = chain._follower(None, ()).problem()
-    problem.aim(chain.q0, values)
-    q, none = chain.q0, np.zeros(len(problem.columns))
+    tree = chain._follower(None, ()).tree
+    aim(tree, chain.q0, values)
+    q, none = chain.q0, np.zeros(len(tree.columns))
     for share in np.linspace(0.0, 1.0, steps + 1)[1:].tolist():
-        q = following.moved(problem, q, share, none)
+        q = moved(tree, q, share, none)
         for _ in range(6):
-            c, jacobian, _, _ = following.linearised(problem, q, share)
+            c, jacobian, _ = linearised(tree, q, share)
             change = np.asarray(-np.linalg.lstsq(jacobian, c, rcond=None)[0], dtype=np.float64)
             if np.abs(change).max() > 0.2:
                 return q, share
-            q = following.moved(problem, q, share, change)
+            q = moved(tree, q, share, change)
         if np.abs(change).max() > 1e-9:
             return q, share
     return q, 1.0
@@ -64,7 +67,7 @@ def test_far_targets_are_reached_in_the_mode_or_not_at_all(chain: ClosedChain) -
         reached += 1
         q = chain.forward(values, chain.q0)
         assert_allclose(pin.difference(chain.model, judged, q), 0.0, atol=1e-8)
-        assert np.abs(LoopKinematics(chain.rows).residual(q)).max() < 1e-14
+        assert np.abs(chain.state(q).gap() / chain.rows.row_units).max() < 1e-14
     assert reached > 0
 
 
@@ -72,18 +75,18 @@ def test_compiled_and_interpreted_agree(chain: ClosedChain) -> None:
     targets = far_targets(chain, following.FEW + 1, 0.2)
     starts = np.broadcast_to(chain.q0, (len(targets), chain.model.nq))
     batch = chain.forward(targets, starts)
-    problem = chain._follower(None, ()).problem()
-    for values, q in zip(targets[:10], batch, strict=False):
-        problem.aim(chain.q0, values)
-        interpreted, status, *_ = following.follow(problem, chain.q0)
-        assert status == 0
-        assert_allclose(q, interpreted, atol=1e-13)
+    few, interpreted = slice(10), np.empty_like(batch[:10])
+    reached, status, *_ = run.interpreted(
+        chain._follower(None, ()).tree, np.array(starts[few]), targets[few], False, interpreted
+    )
+    assert (reached, status) == (10, 0)
+    assert_allclose(batch[few], interpreted, atol=1e-13)
     assert_array_equal(batch[..., chain.actuated_in_q], targets)
 
 
 def test_scipy_finds_the_same(chain: ClosedChain) -> None:
     values = far_targets(chain, 1, 0.05)[0]
-    kinematics, driven = LoopKinematics(chain.rows), chain.actuated_in_v
+    kinematics, driven = StateKinematics(chain), chain.actuated_in_v
     start = chain.q0.copy()
     start[chain.actuated_in_q] = values
     free = np.setdiff1d(np.arange(chain.model.nv), [*driven, *chain.indices_in_v(*chain.held)])
@@ -91,7 +94,8 @@ def test_scipy_finds_the_same(chain: ClosedChain) -> None:
     def errors(x: Any) -> Any:
         v = np.zeros(chain.model.nv)
         v[free] = x
-        return kinematics.residual(pin.integrate(chain.model, start, v))
+        kinematics.evaluate(pin.integrate(chain.model, start, v))
+        return kinematics.residual / kinematics.row_units
 
     solution = least_squares(errors, np.zeros(len(free)), xtol=1e-15, ftol=1e-15, gtol=1e-15, method="lm")
     v = np.zeros(chain.model.nv)
@@ -217,13 +221,27 @@ def test_inverse_of_a_platform_is_that_of_forward() -> None:
     assert_allclose(many, np.broadcast_to(q, many.shape), atol=1e-12)
 
 
+def test_path_of_more_steps_than_are_interpreted_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    chain, kernel = four_bar(), following.run
+    targets = chain.q0[:1] + 2.0 * np.pi * np.array([[0.5], [1.0]])
+    expected = chain.forward(targets, chain.q0)
+    unloaded = SimpleNamespace(is_loaded=False, interpreted=kernel.interpreted, call=kernel.call)
+    monkeypatch.setattr(following, "run", unloaded)
+    monkeypatch.setattr(following.Follower, "interpreted_steps", 4)
+    assert_allclose(chain.forward(targets, chain.q0), expected, atol=1e-12)
+    assert following.Follower.interpreted_steps == 0
+
+
 def test_inverse_of_rows_reaches_those_rows() -> None:
     chain = ankle()
     turn = pin.rpy.rpyToMatrix(0.1, -0.2, 0.3)
     q = chain.inverse("foot", pin.SE3(turn, np.zeros(3)), chain.q0, rows=(3, 4))
-    error = pin.log3(turn @ pose_of(chain.model, q, "foot").rotation.T)
-    assert_allclose(error[:2], 0.0, atol=1e-13)
-    assert abs(error[2]) > 0.1
+    foot = pose_of(chain.model, q, "foot").rotation
+    # Its z axis is the target's, and its spin is another.
+    assert_allclose(foot[:, 2], turn[:, 2], atol=1e-13)
+    assert np.abs(foot - turn).max() > 0.1
+    many = chain.inverse("foot", np.tile(pin.SE3(turn, np.zeros(3)).homogeneous, (following.FEW + 1, 1, 1)), q, (3, 4))
+    assert_allclose(many, np.broadcast_to(q, many.shape), atol=1e-13)
 
 
 def test_joint_equality_is_kept() -> None:
@@ -321,7 +339,7 @@ def test_copies_and_threads_answer_alike() -> None:
         assert_array_equal(result, expected[k::4])
     follower = chain._follower(None, ())
     with ThreadPoolExecutor(1) as pool:
-        own, other = (vars(problem) for problem in (follower.problem(), pool.submit(follower.problem).result()))
+        own, other = follower.tree.fields, pool.submit(lambda: follower.tree.fields).result()
     for name in ("driven_rates", "pose_turn", "pose_share", "drivers"):
         assert own[name] is not other[name]
 

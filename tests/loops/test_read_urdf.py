@@ -10,7 +10,7 @@ import pytest
 from loops.damaged_files import count_refused
 
 from spm_pin.description import CLOSURES_PATH, URDF_PATH, urdf_text
-from spm_pin.errors import DescriptionError
+from spm_pin.errors import ArgumentError, DescriptionError
 from spm_pin.loops import ClosedChain
 from spm_pin.loops.closures import Anchor, Closure, JointEquality
 from spm_pin.loops.read_urdf import read_urdf
@@ -186,11 +186,11 @@ CHANGES = {
     "infinite": ('xyz="0.3 0 0"', 'xyz="inf 0 0"', "3 finite numbers"),
     "negative mass": ('mass value="1"', 'mass value="-1"', "not negative"),
     "no mass": ('<mass value="1"/>', "", "<mass> and <inertia> in <inertial>"),
-    "a mimic of nothing": ('mimic joint="turn"', 'mimic joint="gone"', "a joint of one degree"),
-    "a motor of nothing": ('"m"><joint name="turn"', '"m"><joint name="gone"', "a joint of one degree"),
+    "a mimic of nothing": ('mimic joint="turn"', 'mimic joint="gone"', "hinges and slides"),
+    "a motor of nothing": ('"m"><joint name="turn"', '"m"><joint name="gone"', "names of joints"),
     "a drake joint": ("</robot>", '<drake:joint name="b" type="ball"/></robot>', "a joint of URDF"),
     "half a tag": ('<drake:ball_constraint_body_B name="rocker"/>', "", "a tag drake:ball_constraint_body_B"),
-    "a tag on nothing": ('body_B name="rocker"', 'body_B name="gone"', "a link or site"),
+    "a tag on nothing": ('body_B name="rocker"', 'body_B name="gone"', "links or frames"),
 }
 FAULTS = {
     "not XML": (LINKAGE[:-3], None, "well-formed XML"),
@@ -203,7 +203,7 @@ FAULTS = {
     "a list": (LINKAGE, "closed_loop:\n- [tip]\ntype: ['3d']", "a pair of links"),
     "a kind too few": (LINKAGE, "closed_loop: [['tip', 'end']]\ntype: []", "1 entries"),
     "an unknown kind": (LINKAGE, "closed_loop: [['tip', 'end']]\ntype: ['4d']", "one of 3d"),
-    "a loop on nothing": (LINKAGE, "closed_loop: [['tip', 'gone']]\ntype: ['3d']", "a link or site"),
+    "a loop on nothing": (LINKAGE, "closed_loop: [['tip', 'gone']]\ntype: ['3d']", "links or frames"),
     "a loop of fixed joints": (LINKAGE, "closed_loop: [['tip', 'coupler']]\ntype: ['3d']", "move against each other"),
     "an unknown joint": (LINKAGE, LOOPS + "joint_name: ['gone']\njoint_type: ['SPHERICAL']", "a joint of"),
     "an unknown type": (LINKAGE, LOOPS + "joint_name: ['elbow']\njoint_type: ['SCREW']", "the type SPHERICAL"),
@@ -215,6 +215,17 @@ def test_faults_are_named(urdf: str, loops: str | None, expected: str) -> None:
     with pytest.raises(DescriptionError) as caught:
         read_urdf(urdf, loops)
     assert expected in caught.value.expected
+
+
+def test_forgotten_closures_are_asked_for_and_none_are_taken() -> None:
+    tree = LINKAGE[: LINKAGE.index("  <drake:ball_constraint>")] + "</robot>"
+    tree = tree.replace('<mimic joint="turn" multiplier="0.5" offset="0.1"/>', "")
+    with pytest.raises(ArgumentError) as caught:
+        ClosedChain.from_urdf(tree)
+    assert caught.value.argument == "closures"
+    chain = ClosedChain.from_urdf(tree, closures=[])
+    assert chain.closures == ()
+    assert chain.mobility(chain.q0).dof == chain.model.nv
 
 
 def test_files_that_are_not_there(tmp_path: Path) -> None:

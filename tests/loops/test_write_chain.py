@@ -204,6 +204,22 @@ def test_drake_sees_every_loop(kind: str, tmp_path: Path) -> None:
     assert (plant.num_constraints(), plant.num_actuators()) == (4, 6)
 
 
+@pytest.mark.parametrize("write", [by_mjcf, by_urdf, by_sdf])
+def test_a_root_link_called_world_is_the_world(write: Callable[[RobotDescription], RobotDescription]) -> None:
+    robot = read_urdf(
+        """<robot name="crank"><link name="world"/><link name="crank"><inertial><mass value="1"/>
+        <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+        <joint name="turn" type="continuous"><parent link="world"/><child link="crank"/><origin xyz="0 0 1"/></joint>
+        </robot>""",
+        [Closure("point", Anchor("world", place((0.0, 0.1, 1.0))), Anchor("crank", place((0.0, 0.1, 0.0))), "pin")],
+    )
+    again = write(robot)
+    assert list(again.model.names) == ["universe", "turn"]
+    poses = world_poses(again, {})
+    for anchor in (again.closures[0].first, again.closures[0].second):
+        np.testing.assert_allclose((poses[anchor.frame] * anchor.placement).translation, [0.0, 0.1, 1.0], atol=1e-15)
+
+
 def test_what_a_format_cannot_say_is_refused() -> None:
     robot = this_robot()
     square = robot._replace(equalities=(JointEquality("leg_b2_hip", "leg_b3_hip", (0.0, 1.0, 0.5)),))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from error_fields import with_fields
-from multibody.chains import PAPER, Array, chain, placed
+from multibody.chains import PAPER, Array, chain, placed, plain_accelerations
 
 import spm_pin as spm
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
@@ -146,3 +146,20 @@ def test_rates_and_forces_of_open_loops_do_not_exist(method: str) -> None:
         assert np.isfinite(closed).all()
         assert np.isnan(opened).all()
     assert {index: type(error) for index, error in state.failures.items()} == {(1,): ClosureError}
+
+
+def test_compiled_dynamics_of_a_batch_are_those_of_plain_equations() -> None:
+    robot, rng = chain(), np.random.default_rng(308)
+    robot.loops.compile_dynamics()
+    q = np.array([state[1] for state in placed("paper", 2, seed=309)])
+    v, forces = robot.state(q).joint_rates(0.1 * rng.normal(size=(len(q), 6))), rng.normal(size=(len(q), 6))
+    a = robot.state(q, v).forward_dynamics(forces)
+    push = np.zeros((len(q), 18))
+    push[:, robot.leg_indices] = forces
+    for k in range(len(q)):
+        plain = plain_accelerations(robot.model, robot.closures, q[k], v[k], push[k])
+        np.testing.assert_allclose(a[k], plain, rtol=0, atol=1e-8 * np.abs(plain).max())
+    q[1, robot.joint_indices("ball_c1_y")] = -np.pi / 2
+    state = robot.state(q, v)
+    assert np.array_equal(np.isnan(state.forward_dynamics(forces)).all(axis=-1), np.arange(len(q)) == 1)
+    assert {index: type(error) for index, error in state.failures.items()} == {(1,): ArgumentError}
