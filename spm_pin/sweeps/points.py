@@ -157,8 +157,9 @@ class Points:
 
     @cached_property
     def determinants(self) -> FloatArray:
-        """Values of det J_b, det J_c, det K over d³ at the M `reached` points, (M, 3); for a stage det J_b, (M, 1)."""
-        return frozen(determinants(self.reached) / self.machine.ball_side**3)
+        """Values of det J_b, det J_c, det K over d³ at the M `reached` points, (M, 3); for a stage of det J_b, (M, 1)."""
+        values = determinants(self.reached)
+        return frozen(values[:, : 1 if self.machine.is_stage else 3] / self.machine.ball_side**3)
 
     @cached_property
     def platform_jacobians(self) -> FloatArray:
