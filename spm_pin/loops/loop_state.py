@@ -352,10 +352,7 @@ class LoopState(TreeState):
         index = self._frame(frame)
 
         def member(a: FloatArray) -> FloatArray:
-            kinematics = self.kinematics
-            pin.forwardKinematics(kinematics.model, kinematics.data, kinematics.q, self._rates, a)
-            frames = kinematics.model, kinematics.data, index, pin.LOCAL_WORLD_ALIGNED
-            return np.array(pin.getFrameClassicalAcceleration(*frames).vector)
+            return self.kinematics.frame_acceleration(index, self._rates, a)
 
         return self._each_member(member, (6,), a=self._joint_vectors(a, "a"))
 

@@ -264,6 +264,12 @@ class StateKinematics:
         """Return the Jacobian (6, nv) of a frame, at its origin in the universe's axes."""
         return np.asarray(pin.getFrameJacobian(self.model, self.data, frame, pin.LOCAL_WORLD_ALIGNED))
 
+    def frame_acceleration(self, frame: int, v: FloatArray, a: FloatArray) -> FloatArray:
+        """Return the time derivative of the twist (6,) of a frame, at its origin in the universe's axes."""
+        pin.forwardKinematics(self.model, self.data, self.q, v, a)
+        frames = self.model, self.data, frame, pin.LOCAL_WORLD_ALIGNED
+        return np.array(pin.getFrameClassicalAcceleration(*frames).vector)
+
     def mass_matrix(self) -> FloatArray:
         """Return the joint-space mass matrix M, shape (nv, nv)."""
         half = np.triu(pin.crba(self.model, self.data, self.q))

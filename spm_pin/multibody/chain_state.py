@@ -265,7 +265,7 @@ class ChainState(ConstrainedState):
             if not self._constrained.is_stage:
                 return self._accelerations_of(acceleration)
             a = self._accelerations_of(np.zeros(6))
-            platform = kinematics.platform_jacobian @ a + kinematics.platform_drift(self._rates)
+            platform = kinematics.frame_acceleration(self._constrained.platform_frame, self._rates, a)
             return np.asarray(a + kinematics.velocities_of_twists @ (acceleration - platform[freedoms]))
 
         wanted = self._freedoms(acceleration, "acceleration")
@@ -313,7 +313,7 @@ class ChainState(ConstrainedState):
         """Return the time derivative of the twist of m (..., 6) [m/s², rad/s²] for joint accelerations (..., nv)."""
 
         def member(a: FloatArray) -> FloatArray:
-            return self.kinematics.platform_jacobian @ a + self.kinematics.platform_drift(self._rates)
+            return self.kinematics.frame_acceleration(self._constrained.platform_frame, self._rates, a)
 
         return self._each_closed_member(member, (6,), a=read_vectors(a, "a", self._joints))
 

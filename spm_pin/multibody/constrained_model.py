@@ -25,7 +25,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import pinocchio as pin
 from scipy.linalg import lapack
 
 from spm_pin.description.source_files import Closure
@@ -223,9 +222,7 @@ class TreeKinematics(StateKinematics):
 
     def platform_drift(self, v: FloatArray) -> FloatArray:
         """Return the acceleration of m (6,) where no joint accelerates."""
-        pin.forwardKinematics(self.model, self.data, self.q, v, self.zero_velocity)
-        frame = self.model, self.data, self.constrained.platform_frame, pin.LOCAL_WORLD_ALIGNED
-        return np.asarray(pin.getFrameClassicalAcceleration(*frame).vector)
+        return self.frame_acceleration(self.constrained.platform_frame, v, self.zero_velocity)
 
     def terminal_pose(self) -> tuple[FloatArray, FloatArray]:
         """Return copies of the rotation (3, 3) and the translation (3,) of m."""
