@@ -16,7 +16,7 @@ from benchmarks.report import Facts, Section, count, microseconds, spread_of_sec
 from benchmarks.sections.preparation import Progress
 from benchmarks.timing import Pace, Spread, TimedCall, Timing, time_in_turns
 from spm_pin.loops.closed_chain import ClosedChain
-from spm_pin.loops.constraint_rows import LoopKinematics
+from spm_pin.loops.state_kinematics import StateKinematics
 
 Array = npt.NDArray[np.float64]
 NAMES = ("four_bar", "five_bar", "ankle", "delta", "stewart")
@@ -47,7 +47,7 @@ def path_of(chain: ClosedChain, home: Array, number: int) -> Array:
 
 def by_scipy(chain: ClosedChain, home: Array) -> Callable[[Array], Array]:
     """Return the forward solution by `least_squares`: the same equations, with their Jacobian, from home."""
-    equations, units = LoopKinematics(chain.rows), chain.rows.units
+    equations, units = StateKinematics(chain), chain.rows.units
     unknown = np.setdiff1d(np.arange(chain.model.nv), chain.actuated_in_v)
 
     def moved(start: Array, x: Array) -> Array:
@@ -55,13 +55,17 @@ def by_scipy(chain: ClosedChain, home: Array) -> Callable[[Array], Array]:
         step[unknown] = x
         return np.asarray(pin.integrate(chain.model, start, step * units))
 
+    def at(q: Array) -> StateKinematics:
+        equations.evaluate(q)
+        return equations
+
     def solve(values: Array) -> Array:
         start = home.copy()
         start[chain.actuated_in_q] = values
         found = least_squares(
-            lambda x: equations.residual(moved(start, x)),
+            lambda x: at(moved(start, x)).residual / equations.row_units,
             np.zeros(len(unknown)),
-            lambda x: equations.linearised(moved(start, x)).jacobian[:, unknown],
+            lambda x: at(moved(start, x)).scaled_jacobian[:, unknown],
             xtol=1e-12,
             ftol=1e-15,
             gtol=1e-12,

@@ -21,8 +21,7 @@ import numpy as np
 import pinocchio as pin
 
 from spm_pin.errors import ArgumentError
-from spm_pin.loops.closures import Anchor, Closure, JointEquality
-from spm_pin.loops.links import find_frame
+from spm_pin.loops.closures import Anchor, Closure, JointEquality, find_frame
 from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, likely_names
 
 POSITION, ROTATION, AXIS, FORMS = 0, 3, 6, 8
@@ -285,6 +284,23 @@ def _screws(model: Any) -> FloatArray:
 
 def _joint(model: Any, name: str) -> Any:
     return model.joints[model.getJointId(name)]
+
+
+def joint_of(model: Any, name: str, argument: str) -> Any:
+    """Return a joint by its name, or raise `ArgumentError`."""
+    names = list(model.names)[1:]
+    if name not in names:
+        cause = likely_names(name, names, f"Its joints: {tuple(names)}")
+        raise ArgumentError(argument, "names of joints", repr(name), cause)
+    return _joint(model, name)
+
+
+def scalar_joint(model: Any, name: str, argument: str) -> Any:
+    """Return a joint of one degree of freedom by its name, or raise `ArgumentError`."""
+    joint = joint_of(model, name, argument)
+    if joint.nq != 1:
+        raise ArgumentError(argument, SCALAR_JOINTS, repr(name))
+    return joint
 
 
 def _support(model: Any, joint: int) -> list[int]:

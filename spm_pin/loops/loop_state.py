@@ -361,7 +361,11 @@ class LoopState(TreeState):
 
         `tau` (..., n) [N, N m] is in the order of the actuators.
         """
-        return self._forward_dynamics("tau", self._actuator_values(tau, "tau"), *self._read_wrenches(wrenches))
+        values = self._actuator_values(tau, "tau")
+        if wrenches is None and values.ndim == 1 and not self._batch:
+            # For control loops, a tenth of the time less.
+            return self._accelerations(values, [], ())
+        return self._forward_dynamics("tau", values, *self._read_wrenches(wrenches))
 
     def inverse_dynamics(self, a: npt.ArrayLike, wrenches: Mapping[str, npt.ArrayLike] | None = None) -> FloatArray:
         """Return the forces of the actuators (..., n) [N, N m] for a motion under gravity, inertia and wrenches.
