@@ -16,7 +16,7 @@ import pinocchio as pin
 from spm_pin.errors import ArgumentError, DescriptionError
 from spm_pin.loops.assembly import assemble
 from spm_pin.loops.closures import Closure, JointEquality, RobotDescription
-from spm_pin.loops.constraint_rows import SCALAR_JOINTS, ConstraintRows
+from spm_pin.loops.constraint_rows import ConstraintRows, scalar_joint
 from spm_pin.loops.dynamics_kernel import accelerate
 from spm_pin.loops.following import Follower
 from spm_pin.loops.forward_simulation import LoopMotion, simulate
@@ -111,8 +111,7 @@ class ClosedChain:
         if both:
             raise ArgumentError("held", "joints that are not actuated", ", ".join(sorted(both)))
         for name in self.actuated:
-            if self._joint(name, "actuated").nq != 1:
-                raise ArgumentError("actuated", SCALAR_JOINTS, repr(name))
+            scalar_joint(self.model, name, "actuated")
         self.actuated_in_q = self.indices_in_q(*self.actuated)
         self.actuated_in_v = self.indices_in_v(*self.actuated)
         for name in self.held:

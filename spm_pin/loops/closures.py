@@ -85,3 +85,11 @@ class RobotDescription(NamedTuple):
     """Named configurations of the file (nq,): keyframes, group states."""
     source: str
     """Path of the file, for messages."""
+
+
+def find_frame(model: Any, name: str) -> int | None:
+    """Return the number of a frame by its name, that of a link or a site before that of a joint; None without one."""
+    for kinds in (pin.FrameType.BODY, pin.FrameType.OP_FRAME, pin.FrameType.SENSOR, pin.FrameType.JOINT):
+        if model.existFrame(name, kinds):
+            return int(model.getFrameId(name, kinds))
+    return int(model.getFrameId(name)) if model.existFrame(name) else None

@@ -21,8 +21,7 @@ import numpy as np
 import pinocchio as pin
 
 from spm_pin.errors import ArgumentError
-from spm_pin.loops.closures import Anchor, Closure, JointEquality
-from spm_pin.loops.links import find_frame
+from spm_pin.loops.closures import Anchor, Closure, JointEquality, find_frame
 from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, likely_names
 
 POSITION, ROTATION, AXIS, FORMS = 0, 3, 6, 8
@@ -124,12 +123,8 @@ class ConstraintRows:
         """Note where the joints of equalities are, and their polynomials, lowest power first."""
         model, places = self.model, []
         for equality in self.equalities:
-            for name in (equality.joint, equality.driver):
-                if name is not None and not (model.existJointName(name) and _joint(model, name).nq == 1):
-                    label = f"{name!r} in that of {equality.joint!r}"
-                    raise ArgumentError("equalities", SCALAR_JOINTS, label, likely_names(name, list(model.names)[1:]))
-            driver = _joint(model, equality.driver) if equality.driver is not None else None
-            joint = _joint(model, equality.joint)
+            joint = scalar_joint(model, equality.joint, "equalities")
+            driver = None if equality.driver is None else scalar_joint(model, equality.driver, "equalities")
             places.append([joint.idx_q, joint.idx_v, driver.idx_q if driver else -1, driver.idx_v if driver else -1])
         self.equality_places: IntArray = np.array(places, dtype=np.intp).reshape(-1, 4)
         degree = max((len(e.coefficients) for e in self.equalities), default=1)
@@ -283,8 +278,14 @@ def _screws(model: Any) -> FloatArray:
     return screws
 
 
-def _joint(model: Any, name: str) -> Any:
-    return model.joints[model.getJointId(name)]
+def scalar_joint(model: Any, name: str, argument: str) -> Any:
+    """Return a joint of one value by its name, or raise `ArgumentError`."""
+    names = list(model.names)[1:]
+    joint = model.joints[model.getJointId(name)] if name in names else None
+    if joint is None or joint.nq != 1:
+        cause = likely_names(name, names, f"Its joints: {', '.join(names)}") if joint is None else ""
+        raise ArgumentError(argument, SCALAR_JOINTS, repr(name), cause)
+    return joint
 
 
 def _support(model: Any, joint: int) -> list[int]:

@@ -40,21 +40,6 @@ def inlined(function: Any) -> Any:
     return compiled_as(function, forceinline=True)(function)
 
 
-class PlainArrays:
-    """Arrays and integers by name, as attributes: for compiled functions a table of pointers and shapes.
-
-    Such an argument costs nothing to pass. Numba passes a tuple array by array, each counted as a reference wherever a
-    function is called.
-    """
-
-    def __init__(self, fields: dict[str, Any]) -> None:
-        self.__dict__.update(fields)
-        self.fields = fields
-        rows = [(x.ctypes.data, *x.shape, 0)[:3] if isinstance(x, np.ndarray) else (x, 0, 0) for x in fields.values()]
-        self._table = np.array(rows)
-        self.address = self._table.ctypes.data
-
-
 class Kernel:
     """A function, `interpreted`, and the same as `call`, compiled or loaded from Numba's cache at its first call."""
 

@@ -10,8 +10,9 @@ from typing import Any, Literal
 import numpy as np
 import pinocchio as pin
 
-from spm_pin.errors import DescriptionError
+from spm_pin.errors import ArgumentError, DescriptionError
 from spm_pin.loops.closures import Anchor, Closure, JointEquality, RobotDescription
+from spm_pin.loops.constraint_rows import ConstraintRows, scalar_joint
 from spm_pin.support.arguments import FloatArray
 
 JointKind = Literal["hinge", "slide", "ball", "free"]
@@ -119,14 +120,6 @@ def check_unique(names: Iterable[str], what: str, source: str) -> None:
         raise DescriptionError(source, f"a different name for each {what}", ", ".join(map(repr, twice)))
 
 
-def find_frame(model: Any, name: str) -> int | None:
-    """Return the number of a frame by its name, that of a link or a site before that of a joint; None without one."""
-    for kinds in (pin.FrameType.BODY, pin.FrameType.OP_FRAME, pin.FrameType.SENSOR, pin.FrameType.JOINT):
-        if model.existFrame(name, kinds):
-            return int(model.getFrameId(name, kinds))
-    return int(model.getFrameId(name)) if model.existFrame(name) else None
-
-
 def describe(
     model: Any,
     closures: Sequence[Closure],
@@ -140,14 +133,17 @@ def describe(
 
     q0 is the first configuration, without one the rest pose, by default Pinocchio's neutral one.
     """
-    from spm_pin.loops.closed_chain import ClosedChain
-
     check_unique([closure.name for closure in closures if closure.name], "closure", source)
     q0 = next(iter(configurations.values()), pin.neutral(model) if rest is None else rest)
     names, loops = tuple(dict.fromkeys(actuated)), (tuple(closures), tuple(equalities))
-    description = RobotDescription(model, *loops, names, q0.copy(), dict(configurations), source)
-    ClosedChain.from_description(description)
-    return description
+    try:
+        ConstraintRows(model, *loops, q0)
+        for name in names:
+            scalar_joint(model, name, "actuated")
+    except ArgumentError as error:
+        where = f"{source}, {error.argument}"
+        raise DescriptionError(where, error.expected, error.received, error.cause) from error
+    return RobotDescription(model, *loops, names, q0.copy(), dict(configurations), source)
 
 
 def hinges_of_points(closures: Iterable[Closure]) -> list[Closure]:

@@ -22,7 +22,7 @@ from numba.extending import (
 )
 from numba.np.arrayobj import populate_array
 
-from spm_pin.loops.kernel import PlainArrays
+from spm_pin.loops.plain_arrays import PlainArrays
 
 
 def register(function: Callable[..., Any], implementation: Callable[..., Any], options: dict[str, Any]) -> None:

@@ -22,7 +22,7 @@ import pinocchio as pin
 from scipy.linalg import blas, lapack
 
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
-from spm_pin.loops.links import find_frame
+from spm_pin.loops.closures import find_frame
 from spm_pin.loops.null_space import NullSpace
 from spm_pin.loops.point_closures import PointDynamics, PointRows
 from spm_pin.support.arguments import FloatArray, IntArray, finite_array, likely_names, real_array

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from spm_pin.loops.constraint_rows import FORMS, ROTATION, ConstraintRows
-from spm_pin.loops.kernel import PlainArrays, inlined, jit
+from spm_pin.loops.kernel import inlined, jit
+from spm_pin.loops.plain_arrays import PlainArrays
 from spm_pin.support.arguments import FloatArray, IntArray
 
 HINGE, SLIDE, UNBOUNDED, BALL, FREE, TRANSLATION, PLANAR = range(7)

@@ -13,8 +13,8 @@ import numpy as np
 import pinocchio as pin
 
 from spm_pin.errors import ArgumentError, DescriptionError
-from spm_pin.loops.closures import Anchor, Closure, JointEquality, RobotDescription
-from spm_pin.loops.links import Joint, JointKind, find_frame, place
+from spm_pin.loops.closures import Anchor, Closure, JointEquality, RobotDescription, find_frame
+from spm_pin.loops.links import Joint, JointKind, place
 from spm_pin.support.arguments import FloatArray, type_and_value
 from spm_pin.support.xml_elements import document, element, texts
 

@@ -11,8 +11,7 @@ import pinocchio as pin
 
 from spm_pin.errors import DescriptionError
 from spm_pin.loops.closed_chain import ClosedChain as LoopChain
-from spm_pin.loops.closures import Anchor
-from spm_pin.loops.links import find_frame
+from spm_pin.loops.closures import Anchor, find_frame
 from spm_pin.support.arguments import FloatArray
 
 LETTERS = {"hinge": "R", "slide": "P", "ball": "S"}

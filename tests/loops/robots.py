@@ -8,8 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from spm_pin.loops.closed_chain import ClosedChain
-from spm_pin.loops.closures import Anchor, Closure, ClosureKind
-from spm_pin.loops.links import find_frame
+from spm_pin.loops.closures import Anchor, Closure, ClosureKind, find_frame
 
 _HINGES = {"x": pin.JointModelRX, "y": pin.JointModelRY, "z": pin.JointModelRZ}
 _SLIDES = {"x": pin.JointModelPX, "y": pin.JointModelPY, "z": pin.JointModelPZ}

@@ -13,8 +13,7 @@ import pytest
 from loops.damaged_files import count_refused
 
 from spm_pin.errors import DescriptionError
-from spm_pin.loops.closures import RobotDescription
-from spm_pin.loops.links import find_frame
+from spm_pin.loops.closures import RobotDescription, find_frame
 from spm_pin.loops.read_mjcf import read_mjcf
 from tests.loops.robots import ends_of
 

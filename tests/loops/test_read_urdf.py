@@ -187,7 +187,7 @@ CHANGES = {
     "negative mass": ('mass value="1"', 'mass value="-1"', "not negative"),
     "no mass": ('<mass value="1"/>', "", "<mass> and <inertia> in <inertial>"),
     "a mimic of nothing": ('mimic joint="turn"', 'mimic joint="gone"', "hinges and slides"),
-    "a motor of nothing": ('"m"><joint name="turn"', '"m"><joint name="gone"', "names of joints"),
+    "a motor of nothing": ('"m"><joint name="turn"', '"m"><joint name="gone"', "hinges and slides"),
     "a drake joint": ("</robot>", '<drake:joint name="b" type="ball"/></robot>', "a joint of URDF"),
     "half a tag": ('<drake:ball_constraint_body_B name="rocker"/>', "", "a tag drake:ball_constraint_body_B"),
     "a tag on nothing": ('body_B name="rocker"', 'body_B name="gone"', "links or frames"),

@@ -14,8 +14,8 @@ import pytest
 from spm_pin.description import CLOSURES_PATH, SDF_PATH, URDF_PATH
 from spm_pin.errors import DescriptionError
 from spm_pin.loops.closed_chain import ClosedChain
-from spm_pin.loops.closures import Anchor, Closure, JointEquality, RobotDescription
-from spm_pin.loops.links import find_frame, place
+from spm_pin.loops.closures import Anchor, Closure, JointEquality, RobotDescription, find_frame
+from spm_pin.loops.links import place
 from spm_pin.loops.read_mjcf import read_mjcf
 from spm_pin.loops.read_sdf import read_sdf
 from spm_pin.loops.read_urdf import read_urdf
