@@ -17,7 +17,6 @@ import pytest
 
 import spm_pin as spm
 from spm_pin.kinematics import stage_displacement
-from spm_pin.kinematics.stage_paths import follow
 
 
 class Foreign:
@@ -166,13 +165,11 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "height": lambda: 0.12,
     "arrays.stage_inverse.height": lambda: np.array(0.12),
     "arrays.stage_inverse.normal": lambda: np.array([0.0, 0.0, 1.0]),
-    "arrays.stage_forward.readings": lambda: STAGE_STATE.readings.copy(),
-    "arrays.stage_forward.near": lambda: STAGE_STATE,
     **dict.fromkeys(
         ("stages.forward_displacement.readings", "stages.forward_physical.readings"), lambda: STAGE_STATE.readings
     ),
     "stages.forward_physical.near": lambda: STAGE_STATE,
-    "stages.follow.readings": lambda: [STAGE_STATE.readings, STAGE_STATE.readings + 0.01],
+    "stages.follow.path": lambda: [STAGE_STATE.readings, STAGE_STATE.readings + 0.01],
     **dict.fromkeys(("joint_loads.configuration", "parasitic_jacobian.configuration"), lambda: STAGE_STATE),
     "one_stage.configuration": lambda: STAGE_STATE,
     "one_stage.leg_rates.twist": lambda: np.zeros(3),
@@ -183,7 +180,7 @@ EXAMPLES: dict[str, Callable[[], Any]] = {
     "Stage.platform_radius": lambda: 0.09,
     "Stage.to_yaml.path": lambda: "stage.yaml",
     "Stage.from_yaml.path": stage_file,
-    **dict.fromkeys(("path", "PlatformPath.poses"), lambda: PATH),
+    **dict.fromkeys(("path", "follow.path", "PlatformPath.poses"), lambda: PATH),
     "branch": lambda: "TT+",
     "chain": lambda: chain(),
     **dict.fromkeys(("force_limits", "rate_limits"), lambda: 900.0),
@@ -314,7 +311,9 @@ SMALL = ("samples", "spacing", "starts", "rng", "tries", "xyx")
 LEFT_OUT = ("near", "v", "legs", "leg_rates", "start", "twist")
 """Parameters that are nevertheless left out in one of two calls."""
 
-ALTERNATIVES = ("pose.rotation", "nearest_reachable_pose.branch", "stages.follow.height", "stages.follow.start")
+TILTS = ("height", "tilt", "azimuth", "roll", "pitch", "normal")
+ALTERNATIVES = ("pose.rotation", "nearest_reachable_pose.branch", "stages.follow.start")
+ALTERNATIVES += tuple(f"{place}.{name}" for place in ("follow", "stages.follow") for name in TILTS)
 """Parameters that other arguments exclude."""
 
 INSTANCES: dict[str, Callable[[], Any]] = {
@@ -359,8 +358,8 @@ EITHER = (
 )
 """Functions that take a stage as well as a manipulator, and are called with both."""
 
-OF_STAGES = (spm.forward_displacement, spm.forward_physical, stage_displacement.inverse)
-OF_STAGES += (stage_displacement.inverse_physical, follow)
+OF_STAGES = (spm.forward_displacement, spm.forward_physical, spm.follow)
+OF_STAGES += (stage_displacement.inverse, stage_displacement.inverse_physical)
 """What functions of either machine call for a stage, with its arguments."""
 
 

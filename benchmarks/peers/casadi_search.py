@@ -25,7 +25,7 @@ def ipopt(problem: tuple[Manipulator, RigidTransform]) -> Prepared:
     required("casadi", "casadi")
     from spm_pin.crosscheck.nlp.branch_search import IpoptSolver
 
-    solver = IpoptSolver(problem[0], {"ipopt.tol": 1e-12})
+    solver = IpoptSolver(problem[0], 1e-12)
     return search(problem, solver)
 
 

@@ -4,15 +4,20 @@ NumPy, JAX, PyTorch, CuPy: the kind of array that comes in goes out, on its devi
 extra `arrays`, or `jax`; see `docs/howto/learning.md`.
 """
 
-from spm_pin.arrays.displacement import Branches, State, forward_physical, inverse_displacement, inverse_physical
-from spm_pin.arrays.stage_on_arrays import StageState, stage_forward, stage_inverse
+from spm_pin.arrays.displacement import (
+    Branches,
+    State,
+    forward_physical,
+    inverse_displacement,
+    inverse_physical,
+    stage_inverse,
+)
 from spm_pin.arrays.states import inverse_jacobian, joint_values, leg_forces, singularity_distance
 from spm_pin.machine.joint_angles import JOINTS
 
 __all__ = [
     "JOINTS",
     "Branches",
-    "StageState",
     "State",
     "forward_physical",
     "inverse_displacement",
@@ -21,6 +26,5 @@ __all__ = [
     "joint_values",
     "leg_forces",
     "singularity_distance",
-    "stage_forward",
     "stage_inverse",
 ]

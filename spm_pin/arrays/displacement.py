@@ -13,15 +13,37 @@ import operator
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
-from spm_pin.arrays.library import Array, Library, MachineOnArrays, library_of, quietly, read_machine, state_arrays
+from array_api_compat import is_array_api_obj
+
+from spm_pin.arrays.library import (
+    Array,
+    Library,
+    MachineOnArrays,
+    library_of,
+    quietly,
+    read_machine,
+    state_arrays,
+)
 from spm_pin.errors import ArgumentError
-from spm_pin.formulas import ball_motions, branches, circles, joint_values, leg_constants, leg_planes, vectors, wrenches
+from spm_pin.formulas import (
+    ball_motions,
+    branches,
+    circles,
+    joint_values,
+    leg_constants,
+    leg_planes,
+    stage_poses,
+    vectors,
+    wrenches,
+)
 from spm_pin.formulas.ball_motions import BallMotions
 from spm_pin.formulas.circles import Circles
 from spm_pin.formulas.leg_constants import AXES, UP, drawn_triangle
 from spm_pin.formulas.operations import bind, mapped, rows_of, vector_of
-from spm_pin.machine import Manipulator
+from spm_pin.formulas.stage_numbers import circles_of_readings, readings_of_balls, relative_slopes, rods_at
+from spm_pin.machine import Manipulator, Stage
 from spm_pin.machine.branch_of_state import FAMILIES
+from spm_pin.support.arguments import check_instance
 
 _NEWTON_STEPS = 16
 _LONGEST_STEP = 0.4
@@ -31,6 +53,8 @@ _CLOSED = 2000.0
 _APART = (0.0, 1e-3, 1e-1)
 """Least discriminants, in units of r², for which nominal branches are computed as starts: beside their folds
 those of a calibrated machine are elsewhere, or exist where no nominal ones do."""
+_TURNED = 1e5
+"""Least 1 + z of a normal over eps: the torsion is right to about the inverse of it."""
 _ORDERS = 2
 """Orders of derivatives."""
 _LEVEL = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), UP
@@ -51,7 +75,7 @@ class Branches(NamedTuple):
 
     def __getitem__(self, index: Any) -> Branches:
         """Index the batch axes of all fields."""
-        return Branches._make(indexed(self, (3, 2, 1), index))
+        return Branches._make(_indexed(self, (3, 2, 1), index))
 
 
 class State(NamedTuple):
@@ -61,22 +85,22 @@ class State(NamedTuple):
     """
 
     rotation: Array
-    """Rotation from {m} to {B}, shape (..., 3, 3)."""
+    """Rotation from {m}, or from the platform of a stage, to {B}, shape (..., 3, 3)."""
     translation: Array
-    """o in {B} [m], shape (..., 3)."""
+    """The platform's origin o in {B} [m], shape (..., 3)."""
     middle_joints: Array
-    """b_i in {B} [m], shape (..., 3, 3)."""
+    """b_i in {B} [m], for a stage its balls, shape (..., 3, 3)."""
     readings: Array
-    """Readings of the encoders, shape (..., 6): [m], for RRS legs [rad]."""
+    """Readings of the encoders, shape (..., 6), for a stage (..., 3): [m], for RRS legs [rad]."""
     exists: Array
     """True where the state exists, shape (...). Elsewhere numbers and all derivatives are arbitrary and finite."""
 
     def __getitem__(self, index: Any) -> Any:
         """Index the batch, all fields alike."""
-        return State._make(indexed(self, (2, 1, 2, 1, 0), index))
+        return State._make(_indexed(self, (2, 1, 2, 1, 0), index))
 
 
-def indexed(fields: Iterable[Array], inner: tuple[int, ...], index: Any) -> list[Array]:
+def _indexed(fields: Iterable[Array], inner: tuple[int, ...], index: Any) -> list[Array]:
     """Index the batch axes of arrays that have these numbers of inner axes."""
     batch = index if isinstance(index, tuple) else (index,)
     batch = batch if any(part is Ellipsis for part in batch) else (*batch, Ellipsis)
@@ -152,63 +176,66 @@ def inverse_physical(
 
 
 @quietly
-def forward_physical(machine: Manipulator | Array, readings: Array, near: State | None = None) -> State:
+def forward_physical(machine: Manipulator | Stage | Array, readings: Array, near: State | None = None) -> State:
     """Compute the physical state with these readings, or the state beside another, of any machine.
 
     Parameters
     ----------
-    machine : Manipulator, array of shape (..., 3) or (..., 54), or pair
-        As for `inverse_physical`.
-    readings : array, shape (..., 6)
+    machine : Manipulator, Stage, array of shape (..., 3) or (..., 54), or pair
+        A stage, nominal or calibrated, or as for `inverse_physical`.
+    readings : array, shape (..., 6); for a stage (..., 3)
         Readings of the encoders [m], for RRS legs [rad].
     near : State, optional
-        From where Newton's method begins: the state to which it leads, if both stages keep the signs of their
+        From where Newton's method begins: the state to which it leads, if all stages keep the signs of their
         determinants, and all legs are in their working modes. No proof is given that it has not left the assembly mode
         where the state is far away.
 
     Returns
     -------
     State
-        Without `near` that of `spm_pin.forward_physical`, but for strongly tilted states of PRS and RRS legs, one in
-        500, to which Newton's method from the level stages does not lead: these do not exist here.
+        Without `near` that of `spm_pin.forward_physical`, but for states to which Newton's method from the level
+        stages does not lead: these do not exist here.
+
+    Notes
+    -----
+    Without `near` such states are one in 500 strongly tilted ones of manipulators with PRS and RRS legs. Of random
+    states of a stage tilted by up to 75° they are up to 6 in 100,000 for seven stages of usual proportions, and none
+    below 50° but for slides that are level; for PRS and RRS stages of random proportions 0.3 to 6 in 100, and up to 6
+    in 1,000 of those below 30°. Give `near` there.
     """
-    library = library_of(machine=machine, readings=readings, **state_arrays(near, "near"))
+    is_stage = isinstance(machine, Stage)
+    given = {"machine": machine, "readings": readings, **state_arrays(near, "near")}
+    library = library_of(legs=3 if is_stage else 6, **given)
     numbers, run = read_machine(library, machine), library.run
-    shown, valid = numbers.checked_readings(library, [readings[..., i] for i in range(6)])
-    without_offsets = [x - offset for x, offset in zip(shown, numbers.offsets, strict=True)]
-    zero = library.zeros(*without_offsets, numbers.r, *([] if near is None else [near.translation[..., 0]]))
-    centres, radii = zip(*numbers.circles(library, without_offsets), strict=True)
-    # Both stages are solved together, each seen from its own platform.
-    stages = [
-        Circles(numbers.legs[k].axes, centres[3 * k : 3 * k + 3], radii[3 * k : 3 * k + 3], numbers.squares[k])
-        for k in range(2)
-    ]
+    shown, own, valid = numbers.checked_readings(library, readings)
+    zero = library.zeros(*sum(own, ()), numbers.r, *([] if near is None else [near.translation[..., 0]]))
+    # All stages are solved together, each seen from its own plate.
+    stages = numbers.of_stages(library, circles_of_readings, own)
     if near is None:
-        ups = numbers.kinds[0].up, -numbers.kinds[3].up
-        starts = [run(circles.level_balls, *x) for x in zip(stages, numbers.balls, ups, strict=True)]
+        starts = [run(circles.level_balls, x, s.balls, s.up) for x, s in zip(stages, numbers.stages, strict=True)]
     else:
-        b, pose = rows_of(near.middle_joints), (rows_of(near.rotation), vector_of(near.translation))
-        starts = [b, run(ball_motions.points_from_platform, numbers.upper_balls(library, b), *pose)]
-    b, turns, places, exists = solved_stages(library, numbers, stages, starts, zero, is_near=near is not None)
-    # The middle platform seen from {B} and from {m}.
-    first, second = (mapped(lambda x, i=i: x[i, ...], (turns, places)) for i in range(2))
-    pose = run(ball_motions.pose_of_frames, *first, *second)
-    exists, joints = exists[0, ...] & exists[1, ...] & valid & numbers.valid, mapped(lambda x: x[0, ...], b)
-    exists = exists & numbers.in_working_modes(library, [*joints, *mapped(lambda x: x[1, ...], b)], without_offsets)
-    if near is None:
-        exists = exists & _physical(library, *library.constant((numbers, pose, joints)))[0]
-    else:
-        exists = exists & near.exists
-    return State._make([*(library.stacked(x, zero) for x in (*pose, joints, shown)), exists])
+        pose = rows_of(near.rotation), vector_of(near.translation)
+        starts = _own_balls(library, numbers, pose, rows_of(near.middle_joints))
+    b, turns, places, exists = _solved_stages(library, numbers, stages, starts, zero, is_near=near is not None)
+    balls = [mapped(lambda x, k=k: x[k, ...], b) for k in range(len(stages))]
+    slopes = [slopes for slopes, _ in numbers.of_stages(library, rods_at, balls, own)]
+    relative = sum(numbers.of_stages(library, relative_slopes, slopes), ())
+    exists = functools.reduce(operator.and_, (slope > 0.0 for slope in relative), exists & valid & numbers.valid)
+    pose, *upper = (mapped(lambda x, k=k: x[k, ...], (turns, places)) for k in range(len(stages)))
+    if upper:
+        # The middle platform seen from {B} and from {m}.
+        pose = run(ball_motions.pose_of_frames, *pose, *upper[0])
+    exists = exists if near is None else exists & near.exists
+    return State._make([*(library.stacked(x, zero) for x in (*pose, balls[0], sum(shown, ()))), exists])
 
 
-def solved_stages(
+def _solved_stages(
     library: Library, machine: MachineOnArrays, stages: list[Circles], starts: list[Any], zero: Array, *, is_near: bool
 ) -> tuple[Any, Any, Any, Any]:
-    """Return the balls of stages on circles, with derivatives, their platforms' frames, and which are solutions.
+    """Return the balls of stages on circles, with derivatives, their platforms' frames, and whether all are solutions.
 
-    All have a first axis that counts the stages. Newton's method begins from balls; if `is_near`, a solution is on
-    their side of the forward singularities.
+    Balls and frames have a first axis that counts the stages. Newton's method begins from balls; if `is_near`, a
+    solution is on their side of the forward singularities, otherwise in the home assembly region.
     """
     run, both = library.run, library.together(stages, zero)
     stage, r = library.constant(both), library.constant(machine.r)
@@ -226,16 +253,51 @@ def solved_stages(
         before = run(circles.balls_at, stage, start)
         sides = [run(wrenches.determinant, *x, stage.axes) for x in ((b, e), (before, start))]
         exists = exists & (sides[0] * sides[1] > 0.0)
+    else:
+        up = library.together([own.up for own in machine.stages], zero)
+        exists = exists & run(circles.is_home_state, b, stage.centres, stage.axes, up)
     motions = run(ball_motions.ball_motions, b, e, stage.axes)
 
     def correction(b: Any, motions: BallMotions) -> Any:
         return run(ball_motions.velocities, motions, run(ball_motions.stage_errors, b, both))
 
     b = _with_derivatives(library, b, exists, motions, correction)
-    own = library.together(machine.balls, zero)
+    own = library.together([own.balls for own in machine.stages], zero)
     axes, own_axes = run(joint_values.triangle_axes, b), run(joint_values.triangle_axes, own)
     turns, places = run(ball_motions.frame_of_triangle, axes, own_axes, b, own)
-    return b, turns, places, exists
+    return b, turns, places, library.xp.all(exists, axis=0)
+
+
+@quietly
+def stage_inverse(stage: Stage, normal: Array, height: Array) -> State:
+    """Compute the state of a stage in mode T whose platform has a normal and a height.
+
+    Parameters
+    ----------
+    stage : Stage
+        The stage, nominal or calibrated.
+    normal : array, shape (..., 3)
+        Normal of the platform in {B}, of any length. Zero, NaN and directions within 1.4 mrad of -z (9° in float32)
+        have no state: there the legs hardly hold the torsion.
+    height : array, shape (...)
+        Height of the platform's origin above the pivots [m].
+
+    Returns
+    -------
+    State
+        Mode T of `spm_pin.inverse_displacement`; whether it is in the home assembly region is not tested.
+    """
+    library = library_of(normal=normal, height=height[..., None] if is_array_api_obj(height) else height)
+    machine, run = read_machine(library, check_instance(stage, Stage, "stage")), library.run
+    (own,), least_rise = machine.stages, max(stage_poses.LEAST_RISE, _TURNED * library.eps)
+    height, is_height = library.checked(height, 2.0 * machine.farthest, machine.r)
+    constants = run(stage_poses.stage_constants, own.axes, own.pivots, own.balls)
+    *pose, b, exists = run(stage_poses.pose_of_tilt, vector_of(normal), least_rise, height, constants)
+    ((readings, reaches),) = machine.of_stages(library, readings_of_balls, [b])
+    exists = functools.reduce(operator.and_, (reach >= 0.0 for reach in reaches), exists & is_height)
+    readings = [x + offset for x, offset in zip(readings, own.offsets, strict=True)]
+    zero = library.zeros(readings[0])
+    return State._make([*(library.stacked(x, zero) for x in (*pose, b, readings)), exists])
 
 
 class _Inverse:
@@ -250,7 +312,7 @@ class _Inverse:
         self.pose, self.valid = (turn, place), is_turn & is_near & self.machine.valid
         beside = [] if near is None else [near.middle_joints[..., 0, 0]]
         self.zero = self.library.zeros(self.pose[0][0][0], self.pose[1][0], self.machine.r, *beside)
-        self.legs = self.machine.legs[0], self.library.run(leg_planes.carried, self.machine.legs[1], *self.pose)
+        self.legs = self.machine.stages[0], self.library.run(leg_planes.carried, self.machine.stages[1], *self.pose)
         # The same, without derivatives.
         self._machine, self._pose, self._legs = self.library.constant((self.machine, self.pose, self.legs))
 
@@ -272,14 +334,14 @@ class _Inverse:
     def closed(self, start: Any) -> tuple[Any, Any]:
         """Return the balls to which Newton's method leads from others, and where they are a solution."""
         library, run, (lower, upper), machine = self.library, self.library.run, self._legs, self._machine
-        planes, longest = (lower, upper, machine.weights, machine.squares[0]), _LONGEST_STEP * machine.r
+        planes, longest = (lower, upper, machine.weights, machine.stages[0].squares), _LONGEST_STEP * machine.r
 
         def step(b: Any) -> Any:
             return run(ball_motions.moved_balls, b, run(ball_motions.structure_step, b, *planes), longest)
 
         b = library.repeated(step, mapped(lambda x: x + self.zero, start), _NEWTON_STEPS)
         c = machine.upper_balls(library, b)
-        errors = run(ball_motions.structure_errors, b, c, lower, upper, machine.squares[0])
+        errors = run(ball_motions.structure_errors, b, c, lower, upper, machine.stages[0].squares)
         scale = machine.r + run(vectors.larger, run(vectors.largest, self._pose[1]), machine.r)
         return b, (run(ball_motions.largest_error, errors, machine.r) <= _CLOSED * library.eps * scale) & self.valid
 
@@ -310,7 +372,7 @@ class _Inverse:
         motions = run(ball_motions.ball_motions, b, upper.axes, lower.axes)
 
         def correction(b: Any, motions: BallMotions) -> Any:
-            c, squares = self.machine.upper_balls(library, b), self.machine.squares[0]
+            c, squares = self.machine.upper_balls(library, b), self.machine.stages[0].squares
             errors = run(ball_motions.structure_errors, b, c, *self.legs, squares)
             if machine.is_nominal:
                 return run(ball_motions.velocities, motions, errors)
@@ -340,36 +402,34 @@ def _with_derivatives(
 
 
 def _physical(library: Library, machine: MachineOnArrays, pose: Any, b: Any) -> tuple[Any, Any]:
-    c, rods = machine.upper_balls(library, b), rods_of(library, machine, pose, b)
-    upper_axes = library.run(vectors.turned, pose[0], machine.legs[1].axes)
-    halves = zip(machine.kinds[::3], rods.vectors, strict=True)
-    outer = [mapped(lambda x, up=kind.up: up * x, half) for kind, half in halves]
-    physical = library.run(branches.is_physical, b, c, *outer, machine.legs[0].axes, upper_axes, *pose)
-    return physical, library.run(branches.tilt_cosine_sum, b, pose[0])
+    balls = _own_balls(library, machine, pose, b)
+    readings = [own for own, _ in machine.of_stages(library, readings_of_balls, balls)]
+    stages = zip(balls, machine.of_stages(library, circles_of_readings, readings), machine.stages, strict=True)
+    lower, upper = (library.run(circles.is_home_state, x, own.centres, own.axes, s.up) for x, own, s in stages)
+    return lower & upper, library.run(branches.tilt_cosine_sum, b, pose[0])
 
 
 def _readings(library: Library, machine: MachineOnArrays, pose: Any, b: Any) -> tuple[list[Any], Any]:
     """Return the readings of balls, and a number that is negative where one is out of reach of its leg."""
-    rods = rods_of(library, machine, pose, b)
-    reach = functools.reduce(functools.partial(library.run, vectors.larger), (-x for x in rods.reach))
-    return [x + offset for x, offset in zip(rods.readings, machine.offsets, strict=True)], -reach
+    solved = machine.of_stages(library, readings_of_balls, _own_balls(library, machine, pose, b))
+    lack = functools.reduce(functools.partial(library.run, vectors.larger), (-x for _, own in solved for x in own))
+    stages = zip(solved, machine.stages, strict=True)
+    return [x + y for (own, _), stage in stages for x, y in zip(own, stage.offsets, strict=True)], -lack
 
 
-class Rods(NamedTuple):
-    """The six legs of a state, without their offsets."""
+def rods_of(library: Library, machine: MachineOnArrays, pose: Any, b: Any) -> tuple[list[Any], tuple[Any, Any]]:
+    """Return κ of both stages of a manipulator at balls b_i in {B} and a pose, and vectors along the legs in {B}.
 
-    readings: list[Any]
-    reach: list[Any]
-    slopes: list[Any]
-    vectors: tuple[Any, Any]  # from circles to lower balls, and from upper balls to circles, in {B}
+    The vectors are those from the circles' centres to lower balls, and from upper balls to the circles' centres.
+    """
+    balls = _own_balls(library, machine, pose, b)
+    readings = [own for own, _ in machine.of_stages(library, readings_of_balls, balls)]
+    slopes, (lower, upper) = zip(*machine.of_stages(library, rods_at, balls, readings), strict=True)
+    return list(slopes), (lower, mapped(lambda x: -x, library.run(vectors.turned, pose[0], upper)))
 
 
-def rods_of(library: Library, machine: MachineOnArrays, pose: Any, b: Any) -> Rods:
-    """Return what the legs are at balls b_i in {B} and a pose."""
-    run, c = library.run, machine.upper_balls(library, b)
-    places = machine.places(library, [*b, *run(ball_motions.points_from_platform, c, *pose)])
-    readings, reach = machine.readings(library, places), machine.of_places(library, "reach", places)
-    slopes, centres = machine.of_places(library, "slope", places, readings), machine.circles(library, readings)
-    lower, upper = (tuple(centre for centre, _ in half) for half in (centres[:3], centres[3:]))
-    upper = run(vectors.shifted, run(vectors.turned, pose[0], upper), pose[1])
-    return Rods(readings, reach, slopes, (run(vectors.differences, b, lower), run(vectors.differences, upper, c)))
+def _own_balls(library: Library, machine: MachineOnArrays, pose: Any, b: Any) -> list[Any]:
+    """Return the lower balls in {B} and the upper ones in {m}; the former alone for a stage."""
+    if len(machine.stages) == 1:
+        return [b]
+    return [b, library.run(ball_motions.points_from_platform, machine.upper_balls(library, b), *pose)]

@@ -12,12 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from spm_pin.errors import ArgumentError, MissingExtraError
-from spm_pin.formulas import circles, leg_constants, leg_planes, planar_legs
-from spm_pin.formulas.leg_constants import AXES, TANGENT_SIGNS
-from spm_pin.formulas.leg_planes import StageLegs
+from spm_pin.formulas import leg_constants, leg_planes
+from spm_pin.formulas.leg_constants import AXES
 from spm_pin.formulas.operations import bind, mapped, vector_of
 from spm_pin.formulas.planar_legs import MOST_TURNED
-from spm_pin.machine import LegKind, Manipulator, Stage
+from spm_pin.formulas.stage_numbers import StageNumbers, stage_numbers
+from spm_pin.machine import LegKind, Machine, Manipulator, Stage
 from spm_pin.machine.joint_angles import joint_names
 from spm_pin.machine.leg_kinds import BOUNDS
 from spm_pin.support.arguments import LARGEST, LARGEST_RATIO, SMALLEST, check_shapes, type_and_value
@@ -55,6 +55,10 @@ class Library:
             operations = {"sqrt": self.sqrt, "where": self.where, "arctan2": self.arctan2, "magnitude": abs}
             self._bound[formula] = bind(formula, cos=self.cos, sin=self.sin, **operations)
         return self._bound[formula](*arguments)
+
+    def formulas(self, kind: LegKind) -> Any:
+        """Return the formulas of a kind of legs, as arguments of other formulas."""
+        return kind.bound(lambda formula: functools.partial(self.run, formula))
 
     def sqrt(self, x: Any) -> Any:
         """Return the square root, of zero and less a tiny number: derivatives stay finite."""
@@ -130,10 +134,14 @@ class Library:
 _library = functools.cache(Library)
 
 
-def library_of(*, legs: int = 6, **arguments: Array | Manipulator) -> Library:
-    """Return the library of arguments, arrays of floats of one library whose shapes fit their names."""
+def library_of(*, legs: int = 6, **arguments: Array | Machine) -> Library:
+    """Return the library of arguments, arrays of floats of one library whose shapes fit their names.
+
+    A machine has so many `legs`, and is no array.
+    """
     given = ((name, x[1] if name == "machine" and isinstance(x, tuple) else x) for name, x in arguments.items())
-    arrays: dict[str, Array] = {name: x for name, x in given if not isinstance(x, Manipulator)}
+    machines = Manipulator if legs == 6 else Stage
+    arrays: dict[str, Array] = {name: x for name, x in given if not isinstance(x, machines)}
     for name, x in arrays.items():
         if not compat.is_array_api_obj(x):
             expected = "an array of a library that follows the Array API standard"
@@ -154,21 +162,15 @@ def library_of(*, legs: int = 6, **arguments: Array | Manipulator) -> Library:
 
 
 class MachineOnArrays(NamedTuple):
-    """Dimensions and legs; floats, or arrays of any shape of batch."""
+    """Dimensions and stages, one or two; floats, or arrays of any shape of batch."""
 
-    radii: tuple[Any, Any]  # E and C
+    radii: tuple[Any, ...]  # of the plates: E and C
     r: Any  # of the nominal middle platform
-    legs: tuple[StageLegs, StageLegs]  # in {B} and in {m}
-    balls: tuple[Any, Any]  # in {n}
-    squares: tuple[Any, Any]  # of the sides of the balls' triangles
-    weights: Any  # see `leg_planes.upper_balls`
-    offsets: tuple[Any, ...]
-    planes: tuple[planar_legs.LegPlane, ...]  # of the six legs, in {B} or {m}
-    kinds: tuple[LegKind, ...]  # of each leg
-    numbers: tuple[tuple[Any, ...], ...]  # that are fixed in each leg
+    stages: tuple[StageNumbers, ...]
+    weights: Any  # see `leg_planes.upper_balls`; None for one stage
+    kinds: tuple[LegKind, ...]  # of each stage
     joint_names: tuple[str, ...]  # of the URDF
     limits: tuple[tuple[float, ...], tuple[float, ...]]
-    middles: tuple[Any, ...]  # see `planar_legs.crank_middle`
     is_nominal: bool
     valid: Any  # where its numbers are those of a machine, see `Manipulator`
 
@@ -181,54 +183,32 @@ class MachineOnArrays(NamedTuple):
         """Return the upper legs' balls from the lower ones'."""
         return b if self.is_nominal else library.run(leg_planes.upper_balls, b, self.weights)
 
-    def places(self, library: Library, balls: Sequence[Any]) -> list[Any]:
-        """Return x and z of the six balls, seen from the plates that the legs stand on, in the planes of their legs."""
-        return [library.run(planar_legs.place_in_plane, *pair) for pair in zip(balls, self.planes, strict=True)]
+    def of_stages(self, library: Library, formula: Callable[..., Any], *arguments: Sequence[Any]) -> list[Any]:
+        """Return the values of a formula of `spm_pin.formulas.stage_numbers` for each stage and its own arguments."""
+        stages = zip(self.stages, self.kinds, *arguments, strict=True)
+        return [library.run(formula, *own, stage, library.formulas(kind)) for stage, kind, *own in stages]
 
-    def of_places(self, library: Library, name: str, places: Sequence[Any], *further: Sequence[Any]) -> list[Any]:
-        """Return the values of a formula of the legs' kinds, such as "reading", at `places`, leg by leg."""
-        legs = zip(self.kinds, places, self.numbers, *further, strict=True)
-        return [library.run(getattr(kind.formulas, name), *xz, *more, numbers) for kind, xz, numbers, *more in legs]
+    def checked_readings(self, library: Library, readings: Array) -> tuple[list[Any], list[Any], Any]:
+        """Return readings of each stage, and those without offsets, and where none was replaced.
 
-    def readings(self, library: Library, places: Sequence[Any]) -> list[Any]:
-        """Return the readings of balls at `places`, without offsets, leg by leg."""
-        return self.of_places(library, "reading", places, self.middles)
-
-    def circles(self, library: Library, readings: Sequence[Any]) -> list[tuple[Any, Any]]:
-        """Return centres, in {B} or {m}, and radii of the balls' circles at readings without offsets."""
-        found = []
-        for kind, reading, numbers, plane in zip(self.kinds, readings, self.numbers, self.planes, strict=True):
-            x, z, radius = library.run(kind.formulas.circle, reading, numbers)
-            found.append((library.run(planar_legs.point_of_plane, x, z, plane), radius))
-        return found
-
-    def relative_slopes(self, library: Library, slopes: Sequence[Any]) -> list[Any]:
-        """Return κ of the legs over the largest of their working modes: at most 1, negative in another mode."""
-        legs = zip(slopes, self.kinds, self.numbers, strict=True)
-        return [slope / library.run(kind.formulas.largest_slope, numbers) for slope, kind, numbers in legs]
-
-    def in_working_modes(self, library: Library, balls: Sequence[Any], readings: Sequence[Any]) -> Any:
-        """Return where legs with these readings, without offsets, are in their working modes."""
-        slopes = self.of_places(library, "slope", self.places(library, balls), readings)
-        return functools.reduce(operator.and_, (slope > 0.0 for slope in self.relative_slopes(library, slopes)))
-
-    def checked_readings(self, library: Library, readings: Sequence[Any]) -> tuple[list[Any], Any]:
-        """Return readings, with others in place of numbers that no leg can have, and where none was replaced."""
-        checked, valid = [], True
-        for reading, kind in zip(readings, self.kinds, strict=True):
+        Others are in place of numbers that no leg can have.
+        """
+        shown, own, valid = [], [], True
+        for k, (stage, kind) in enumerate(zip(self.stages, self.kinds, strict=True)):
             most = MOST_TURNED if kind.unit == "rad" else self.farthest
-            x, is_valid = library.checked(reading, most, self.r)
-            checked.append(x)
-            valid = valid & is_valid
-        return checked, valid
+            checked = [library.checked(readings[..., 3 * k + i], most, self.r) for i in range(3)]
+            shown.append(tuple(x for x, _ in checked))
+            own.append(tuple(x - offset for x, offset in zip(shown[k], stage.offsets, strict=True)))
+            valid = functools.reduce(operator.and_, (is_valid for _, is_valid in checked), valid)
+        return shown, own, valid
 
 
 def read_machine(library: Library, machine: Any) -> MachineOnArrays:
-    """Return a machine from a `Manipulator`, dimensions (..., 3) E, C, d, or the parameters of its legs.
+    """Return a machine from a `Manipulator` or a `Stage`, dimensions (..., 3) E, C, d, or the parameters of its legs.
 
     Parameters are an array (..., 54) for RPS legs, or a pair of a machine and its parameters (..., n).
     """
-    if isinstance(machine, Manipulator):
+    if isinstance(machine, Manipulator | Stage):
         return _machine_of(machine)
     if isinstance(machine, tuple):
         return _machine_of_parameters(library, *machine)
@@ -281,53 +261,44 @@ def _machine_of_parameters(library: Library, machine: Manipulator, parameters: A
 
 
 def _completed(
-    library: Library, radii: Any, r: Any, legs: Any, drawing: Manipulator, numbers: Any, *further: Any
+    library: Library,
+    radii: Any,
+    r: Any,
+    legs: Any,
+    drawing: Manipulator | Stage,
+    numbers: Any,
+    is_nominal: bool,
+    valid: Any,
 ) -> MachineOnArrays:
-    """Return the machine of axes, pivots, balls and offsets of six legs, with the kinds and limits of a drawing's.
+    """Return the machine of axes, pivots, balls and offsets of its legs, with the kinds and limits of a drawing's.
 
     `numbers` None are the drawing's.
     """
-    (axes, pivots, balls, offsets), kinds = legs, drawing.legs.kinds
-    limits = drawing.limits or drawing.legs.free_limits
-    planes = []
-    for i, (axis, pivot) in enumerate(zip(axes, pivots, strict=True)):
-        directions = library.run(planar_legs.plane_axes, axis, TANGENT_SIGNS[i % 3], 1.0 - 2.0 * (i // 3))
-        planes.append(planar_legs.LegPlane(pivot, *directions))
+    kinds, limits = drawing.legs.kinds, drawing.limits or drawing.legs.free_limits
     if numbers is None:
-        numbers = tuple(tuple(row) for kind in kinds for row in kind.numbers.tolist())
-    of_legs = tuple(planes), (kinds[0],) * 3 + (kinds[1],) * 3, numbers, joint_names(drawing)
-    stages, halves = (StageLegs(axes[:3], pivots[:3]), StageLegs(axes[3:], pivots[3:])), (balls[:3], balls[3:])
-    lower, upper = (library.run(circles.squared_sides, b) for b in halves)
-    weights = library.run(leg_planes.upper_ball_weights, *halves)
-    ends = limits.minimum, limits.maximum
-    middles = tuple(library.run(planar_legs.crank_middle, *leg) for leg in zip(*ends, offsets, strict=True))
-    placed = radii, r, stages, halves, (lower, upper), weights, offsets
-    return MachineOnArrays(*placed, *of_legs, ends, middles, *further)
+        numbers = [tuple(row) for kind in kinds for row in kind.numbers.tolist()]
+    stages, ends = [], (limits.minimum, limits.maximum)
+    for k, kind in enumerate(kinds):
+        *vectors, offsets, low, high, own = (tuple(x[3 * k : 3 * k + 3]) for x in (*legs, *ends, numbers))
+        side = 1.0 - 2.0 * k
+        stages.append(library.run(stage_numbers, tuple(vectors), offsets, (low, high), own, side, kind.up))
+    weights = library.run(leg_planes.upper_ball_weights, *(x.balls for x in stages)) if len(stages) == 2 else None
+    return MachineOnArrays(radii, r, tuple(stages), weights, kinds, joint_names(drawing), ends, is_nominal, valid)
 
 
 @functools.lru_cache(maxsize=32)
-def _machine_of(machine: Manipulator) -> MachineOnArrays:
+def _machine_of(machine: Manipulator | Stage) -> MachineOnArrays:
     *vectors, offsets = (x.tolist() for x in machine.legs.arrays)
     legs = *(tuple(map(tuple, x)) for x in vectors), tuple(offsets)
-    library, radii = library_of(numbers=np.zeros(1)), (machine.base_radius, machine.platform_radius)
-    return _completed(library, radii, machine.middle_radius, legs, machine, None, machine.is_nominal, True)
+    (*radii,), ((_, r), *_) = (radius for radius, _ in machine.stage_radii), machine.stage_radii
+    return _completed(library_of(numbers=np.zeros(1)), tuple(radii), r, legs, machine, None, machine.is_nominal, True)
 
 
-def stage_machine(stage: Stage) -> MachineOnArrays:
-    """Return a stage as the lower half of a robot of two, with three legs."""
-    both = _machine_of(Manipulator.of_stages(stage, stage))
-    halves = {name: getattr(both, name)[:1] for name in ("radii", "legs", "balls", "squares")}
-    legs = {name: getattr(both, name)[:3] for name in ("offsets", "planes", "kinds", "numbers", "middles")}
-    return both._replace(**halves, **legs)
-
-
-def state_arrays(
-    state: Any, name: str, fields: Sequence[str] = ("rotation", "translation", "middle_joints")
-) -> dict[str, Any]:
+def state_arrays(state: Any, name: str) -> dict[str, Any]:
     """Return the arrays of a state by their names in messages; none of None."""
     if state is None:
         return {}
+    fields = "rotation", "translation", "middle_joints"
     if not all(hasattr(state, field) for field in (*fields, "exists")):
-        of_stage = "Stage" * ("middle_joints" not in fields)
-        raise ArgumentError(name, f"a {of_stage}State or a {of_stage}Configuration", type_and_value(state))
+        raise ArgumentError(name, "a State or a state of the machine", type_and_value(state))
     return {f"{name}.{field}": getattr(state, field) for field in fields}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from typing import Any
 
 from spm_pin.arrays.displacement import State, rods_of
@@ -11,6 +10,7 @@ from spm_pin.formulas import ball_motions, leg_constants, leg_planes, vectors, w
 from spm_pin.formulas import joint_values as values
 from spm_pin.formulas.leg_constants import AXES, UP
 from spm_pin.formulas.operations import mapped, rows_of, vector_of
+from spm_pin.formulas.stage_numbers import relative_slopes
 from spm_pin.machine import Configuration, Manipulator
 from spm_pin.machine.leg_kinds import drawn_numbers
 
@@ -27,14 +27,11 @@ class _Legs:
         # Selected before anything is computed, or derivatives were NaN where nothing exists.
         self.b, self.pose = self.library.select(self.exists, (rows_of(state.middle_joints), pose), placeholder)
         self.zero = self.library.zeros(self.pose[1][0], self.pose[0][0][0], self.b[0][0], self.machine.r)
-        self.lower = self.machine.legs[0]
-        self.upper = self.library.run(leg_planes.carried, self.machine.legs[1], *self.pose)
+        self.lower, run = self.machine.stages[0], self.library.run
+        self.upper = run(leg_planes.carried, self.machine.stages[1], *self.pose)
         self.c = self.machine.upper_balls(self.library, self.b)
-        rods = rods_of(self.library, self.machine, self.pose, self.b)
-        self.slopes, run = rods.slopes, self.library.run
-        (self.lower_directions, _), (self.upper_directions, _) = (
-            run(vectors.directions_and_lengths, x) for x in rods.vectors
-        )
+        self.slopes, arms = rods_of(self.library, self.machine, self.pose, self.b)  # κ of each stage
+        (self.lower_directions, _), (self.upper_directions, _) = (run(vectors.directions_and_lengths, x) for x in arms)
 
     def regular(self, stage: Any, *determinants: Any) -> Any:
         """Return balls and six forces, with regular ones where no state exists or a determinant is zero to rounding."""
@@ -45,11 +42,9 @@ class _Legs:
 
     def rates(self) -> list[Any]:
         """Return κ of the legs, 1 of a leg that is singular."""
-        run, rates = self.library.run, []
-        for slope, relative in zip(self.slopes, self.machine.relative_slopes(self.library, self.slopes), strict=True):
-            is_singular = run(vectors.magnitude, relative) <= self.library.least
-            rates.append(self.library.where(is_singular, 1.0, slope))
-        return rates
+        relative = sum(self.machine.of_stages(self.library, relative_slopes, self.slopes), ())
+        is_singular = (self.library.run(vectors.magnitude, x) <= self.library.least for x in relative)
+        return [self.library.where(x, 1.0, slope) for x, slope in zip(is_singular, sum(self.slopes, ()), strict=True)]
 
 
 @quietly
@@ -96,7 +91,7 @@ def leg_forces(machine: Manipulator | Array, state: State | Configuration, wrenc
     twists = library.run(wrenches.stage_twists, *stage, legs.pose[1])
     forces = library.run(wrenches.stage_forces, twists, (vector_of(wrench[..., :3]), vector_of(wrench[..., 3:])))
     along = [x[i, ...] for i in range(2) for x in forces]
-    return library.stacked([x * slope for x, slope in zip(along, legs.slopes, strict=True)], zero)
+    return library.stacked([x * slope for x, slope in zip(along, sum(legs.slopes, ()), strict=True)], zero)
 
 
 @quietly
@@ -111,16 +106,15 @@ def joint_values(machine: Manipulator | Array, state: State | Configuration) -> 
     legs = _Legs(machine, state)
     library, arrays, run = legs.library, legs.machine, legs.library.run
     triangle, columns = run(values.triangle_axes, legs.b), run(vectors.transposed, legs.pose[0])
-    own = run(values.triangle_axes, arrays.balls[0])
+    own = run(values.triangle_axes, legs.lower.balls)
     upper_balls = run(ball_motions.points_from_platform, legs.c, *legs.pose)
     named, seen = {}, tuple(run(vectors.times, columns, axis) for axis in triangle)
-    stages = zip((0, 3), arrays.radii, arrays.legs, (legs.b, upper_balls), (triangle, seen), (1.0, -1.0), strict=True)
-    for k, radius, stage, balls, axes, up in stages:
-        kind, names = arrays.kinds[k], ("b1", "b2", "b3", "c1", "c2", "c3")[k : k + 3]
-        formulas, numbers = kind.bound(lambda x: functools.partial(run, x)), arrays.numbers[k : k + 3]
-        ends, middles = (max(arrays.limits[0][k : k + 3]), min(arrays.limits[1][k : k + 3])), arrays.middles[k : k + 3]
-        pair, triangles = (drawn_numbers(numbers, len(kind.identified)), numbers), (radius, arrays.r)
-        constants = stage, own, triangles, ends, middles, pair, up, formulas
+    stages = zip(arrays.kinds, arrays.radii, arrays.stages, (legs.b, upper_balls), (triangle, seen), strict=True)
+    for k, (kind, radius, stage, balls, axes) in enumerate(stages):
+        names, up, formulas = (("b1", "b2", "b3"), ("c1", "c2", "c3"))[k], 1.0 - 2.0 * k, library.formulas(kind)
+        low, high = (ends[3 * k : 3 * k + 3] for ends in arrays.limits)
+        drawn = drawn_numbers(stage.numbers, len(kind.identified))
+        constants = stage, own, (radius, arrays.r), (max(low), min(high)), drawn, up, formulas
         frames = library.together(run(values.stage_frames, *constants), legs.zero)
         of_legs = run(values.leg_values, library.together(balls, legs.zero), frames, formulas)
         first = mapped(lambda x: x[0, ...], (of_legs, frames))

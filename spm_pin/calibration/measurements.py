@@ -104,7 +104,8 @@ class Measurements:
             sizes = np.median(np.abs(values), axis=0) if len(values) else np.zeros(3)
             hint = unit_hint(machine, sizes.max())
             if hint:
-                column = (names if name == "readings" else POSITION)[int(sizes.argmax())]
+                axes = ("x", "y", "height") if isinstance(poses, Inclinations) else POSITION
+                column = (names if name == "readings" else axes)[int(sizes.argmax())]
                 raise MeasurementError(name, "lengths in metres", f"values of {sizes.max():g} for {column}", hint)
         if frames:
             return measured._in_frames(machine)

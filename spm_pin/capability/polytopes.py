@@ -33,8 +33,7 @@ import numpy.typing as npt
 
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics import inverse_jacobian, platform_jacobian
-from spm_pin.kinematics.rates_and_forces import stage_inverses
-from spm_pin.kinematics.stage_rates import motion_rows
+from spm_pin.kinematics.rates_and_forces import motion_rows, stage_inverses
 from spm_pin.machine.configuration import Configuration, check_configuration
 from spm_pin.support.arguments import (
     BoolArray,

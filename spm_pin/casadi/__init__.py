@@ -11,8 +11,8 @@ from spm_pin.casadi.functions import (
     joint_values,
     leg_forces,
     leg_rates,
+    stage_inverse,
 )
-from spm_pin.casadi.stage_in_casadi import stage_forward, stage_inverse
 
 __all__ = [
     "bodies",
@@ -25,6 +25,5 @@ __all__ = [
     "joint_values",
     "leg_forces",
     "leg_rates",
-    "stage_forward",
     "stage_inverse",
 ]

@@ -24,18 +24,22 @@ from spm_pin.casadi.symbolic_machine import (
     all_of,
     columns,
     in_casadi,
+    in_plane,
     parts,
+    point_in,
+    rows,
     stages_of,
 )
 from spm_pin.description.masses import Masses
 from spm_pin.description.robot import read_robot
 from spm_pin.errors import ArgumentError
-from spm_pin.formulas import ball_motions, circles, leg_constants, leg_planes, vectors, wrenches
+from spm_pin.formulas import ball_motions, circles, leg_constants, leg_planes, stage_poses, vectors, wrenches
 from spm_pin.formulas import branches as formulas
 from spm_pin.formulas import joint_values as values
-from spm_pin.machine import BRANCHES, Manipulator
+from spm_pin.formulas.stage_numbers import readings_of_balls
+from spm_pin.machine import BRANCHES, Manipulator, Stage
 from spm_pin.machine.manipulator import check_manipulator, check_rps
-from spm_pin.support.arguments import FloatArray, as_bool, choice
+from spm_pin.support.arguments import FloatArray, as_bool, check_instance, choice
 
 Dimensions = Manipulator | Literal["symbolic"] | None
 
@@ -121,44 +125,93 @@ def inverse_branch(branch: str, machine: Dimensions = None) -> ca.Function:
     return symbolic.function("inverse_branch", [rotation, position], outputs)
 
 
-def forward_physical(machine: Dimensions = None, *, parameters: bool = False, near: bool = False) -> ca.Function:
+def forward_physical(
+    machine: Dimensions | Stage = None, *, parameters: bool = False, near: bool = False
+) -> ca.Function:
     """Make the forward displacement, an implicit function with exact derivatives.
 
     Parameters
     ----------
+    machine : Manipulator, Stage, "symbolic" or None
+        As for the other functions, or a stage.
     near : bool
         Whether Newton's method begins from a state, given as three more inputs `near_joints` (3, 3), `near_rotation`
-        and `near_position`, and not from the level one; the result may then be in another aspect.
+        and `near_position`, for a stage the last two, and not from the level one; the result may then be in another
+        aspect.
 
     Returns
     -------
     casadi.Function
-        Input: `readings` (6,). Outputs: `rotation`, `position`, `joints`; `residual` (1,), the largest error of the
-        stages' equations in units of d, below 1e-12 at a solution; and `exists` (1,), 1 where that is so, both stages
-        are in the aspect of the symmetric home, and all legs in their working mode. Where it is 0 the others are where
-        14 steps of Newton's method and `casadi.rootfinder` ended.
+        Input: `readings` (6,), for a stage (3,). Outputs: `rotation`, `position`, `joints`; `residual` (1,), the
+        largest error of the stages' equations in units of d, below 1e-12 at a solution; and `exists` (1,), 1 where
+        that is so, all stages are in the aspect of the symmetric home, and all legs in their working mode. Where it is
+        0 the others are where 14 steps of Newton's method and `casadi.rootfinder` ended.
+
+    Notes
+    -----
+    Without `near` a state to which Newton's method from the level stages does not lead does not exist here; see
+    `spm_pin.arrays.forward_physical` for how many these are.
     """
-    symbolic, readings = MachineInCasadi(machine, parameters), ca.SX.sym("readings", 6)
-    unknowns, stages = ca.SX.sym("unknowns", 6), [symbolic.circles(k, readings) for k in (0, 1)]
-    inputs, starts = [readings], [level_balls(symbolic, k, stage) for k, stage in enumerate(stages)]
+    symbolic = MachineInCasadi(machine, parameters)
+    count = len(symbolic.stages)
+    readings, unknowns = ca.SX.sym("readings", 3 * count), ca.SX.sym("unknowns", 3 * count)
+    stages, inputs = [symbolic.circles(k, readings) for k in range(count)], [readings]
+    starts = [level_balls(symbolic, k, stage) for k, stage in enumerate(stages)]
     if as_bool(near, "near"):
-        inputs += [ca.SX.sym("near_joints", 3, 3), ca.SX.sym("near_rotation", 3, 3), ca.SX.sym("near_position", 3)]
-        starts = [list(map(parts, balls)) for balls in StateInCasadi(symbolic, *inputs[1:]).own_balls()]
-    halves = unknowns[:3], unknowns[3:]
-    problems = [stage_problem(symbolic, k, *own) for k, own in enumerate(zip(stages, starts, halves, strict=True))]
-    balls, errors, stepped, angles = zip(*problems, strict=True)
+        pose = ca.SX.sym("near_rotation", 3, 3), ca.SX.sym("near_position", 3)
+        if count == 1:
+            starts = [rows([pose[0] @ ball + pose[1] for ball in symbolic.balls])]
+        else:
+            inputs.append(ca.SX.sym("near_joints", 3, 3))
+            starts = list(map(rows, StateInCasadi(symbolic, inputs[1], *pose).own_balls()))
+        inputs += pose
+    halves = ca.vertsplit(unknowns, 3)
+    balls, errors, stepped, angles = zip(*map(_stage_problem, stages, starts, halves), strict=True)
     rotation, position, joints = placed(symbolic, *balls)
     own = ca.vertsplit(readings - symbolic.offsets)
     # Half the squares of the distances, over d.
     error = ca.vertcat(*errors) / symbolic.side
-    residual, state = ca.mmax(ca.fabs(error)) / symbolic.side, StateInCasadi(symbolic, joints, rotation, position)
-    exists = [symbolic.valid, state.is_physical()[0], residual < 1e-12, state.least_slope(state.slopes_at(own)) > 0.0]
-    exists += [radius > 0.0 for stage in stages for radius in stage.radii]
+    residual = ca.mmax(ca.fabs(error)) / symbolic.side
+    exists = [symbolic.valid, residual < 1e-12, *(slope > 0.0 for slope in symbolic.slopes_at(balls, own))]
+    for stage, b, numbers in zip(stages, balls, symbolic.stages, strict=True):
+        is_home = in_casadi(circles.is_home_state)(b, stage.centres, stage.axes, numbers.up)
+        exists += [is_home, *(radius > 0.0 for radius in stage.radii)]
     exists += symbolic.are_readings(own)
     outputs = {"rotation": rotation, "position": position, "joints": joints}
     outputs |= {"residual": residual, "exists": all_of(exists)}
     problem = unknowns, error, outputs, ca.vertcat(*stepped)
     return implicit("forward_physical", [*inputs, *symbolic.inputs], problem, [ca.vertcat(*angles)])
+
+
+def stage_inverse(stage: Stage) -> ca.Function:
+    """Make the inverse displacement of a stage in mode T.
+
+    Parameters
+    ----------
+    stage : Stage
+        The stage that is built in, nominal or calibrated.
+
+    Returns
+    -------
+    casadi.Function
+        Inputs: `normal` (3,), the platform's normal in {B}, of any length, and `height` (1,) of its origin [m].
+        Outputs: `readings` (3,), [m] or [rad]; `rotation` (3, 3) and `position` (3,) of the platform; and `exists`
+        (1,), 1 where the platform has such a state whose balls are in reach, and 0 where not, as for normals that are
+        zero, NaN or within 1.4 mrad of -z. There the others are finite and mean nothing.
+    """
+    machine = MachineInCasadi(check_instance(stage, Stage, "stage"))
+    (own,), (kind,), normal, height = machine.stages, machine.formulas, ca.SX.sym("normal", 3), ca.SX.sym("height")
+    constants = in_casadi(stage_poses.stage_constants)(own.axes, own.pivots, own.balls)
+    least_rise, formula = stage_poses.LEAST_RISE, in_casadi(stage_poses.pose_of_tilt)
+    rotation, position, balls, exists = formula(parts(normal), least_rise, height, constants)
+    readings, reaches = in_casadi(readings_of_balls)(balls, own, kind)
+    outputs = {
+        "readings": ca.vertcat(*readings) + machine.offsets,
+        "rotation": ca.vertcat(*(ca.horzcat(*row) for row in rotation)),
+        "position": ca.vertcat(*position),
+        "exists": all_of([exists, *(reach >= 0.0 for reach in reaches)]),
+    }
+    return machine.function("stage_inverse", [normal, height], outputs)
 
 
 def inverse_jacobian(machine: Dimensions = None, *, parameters: bool = False) -> ca.Function:
@@ -290,7 +343,7 @@ def _forces(state: StateInCasadi, *wrenches_of_stages: Any) -> Any:
 def gravity_of(state: StateInCasadi, bodies: Any, payload: Any, acceleration: Any) -> dict[str, Any]:
     """Return the leg forces that hold all weights in a state."""
     o = state.position
-    turn, origin = frame_of(state.joints, state.machine.balls[:3])
+    turn, origin = frame_of(rows(state.joints), state.machine.stages[0].balls)
 
     def wrench(mass: Any, moments: Any) -> Any:
         return ca.vertcat(mass * acceleration, ca.cross(moments - mass * o, acceleration))
@@ -320,7 +373,7 @@ def gravity_of(state: StateInCasadi, bodies: Any, payload: Any, acceleration: An
 def values_of(state: StateInCasadi) -> dict[str, Any]:
     """Return the values of the eighteen joints in a state."""
     machine, turned = state.machine, state.rotation.T
-    triangle, own = (in_casadi(values.triangle_axes)([parts(b) for b in x]) for x in (state.joints, machine.balls[:3]))
+    triangle, own = map(in_casadi(values.triangle_axes), (rows(state.joints), machine.stages[0].balls))
     seen = [parts(turned @ ca.vertcat(*x)) for x in triangle]
     by_joint: dict[str, Any] = {}
     frames = [frame for stage in (0, 1) for frame in machine.leg_frames(stage, own)]
@@ -338,12 +391,9 @@ def values_of(state: StateInCasadi) -> dict[str, Any]:
 
 def residual_of(state: StateInCasadi) -> dict[str, Any]:
     """Return the closure equations of a state."""
-    origins = [0.0] * 3 + [state.position] * 3
-    rows = [
-        ca.dot(ball - origin, axis) - ca.dot(plane.x, plane.pivot)
-        for ball, origin, axis, plane in zip(state.balls, origins, state.axes, state.machine.planes, strict=True)
-    ]
-    return {"residual": ca.vertcat(*rows, *_side_errors(state.machine, state.joints))}
+    legs = zip(state.balls, [0.0] * 3 + [state.position] * 3, state.axes, state.machine.heights(), strict=True)
+    distances = [ca.dot(ball - origin, axis) - height for ball, origin, axis, height in legs]
+    return {"residual": ca.vertcat(*distances, *_side_errors(state.machine, state.joints))}
 
 
 def _pose() -> tuple[Any, Any]:
@@ -358,18 +408,21 @@ def _side_errors(machine: MachineInCasadi, balls: Sequence[Any]) -> list[Any]:
 
 def closure_equations(machine: MachineInCasadi, coordinates: Any, rotation: Any, position: Any) -> Any:
     """Return the errors (6,) [m] of the lower balls' sides, and of the upper balls' distances from their planes."""
-    balls = [machine.planes[i].point(coordinates[2 * i : 2 * i + 2]) for i in range(3)]
-    planes = [
-        ca.dot(rotation @ plane.x, ball - position) - ca.dot(plane.x, plane.pivot)
-        for plane, ball in zip(machine.planes[3:], machine.all_balls(balls)[3:], strict=True)
-    ]
+    balls = lower_balls(machine, coordinates)
+    upper = zip(machine.axes[3:], machine.heights()[3:], machine.all_balls(balls)[3:], strict=True)
+    planes = [ca.dot(rotation @ axis, ball - position) - height for axis, height, ball in upper]
     return ca.vertcat(*_side_errors(machine, balls), *planes)
+
+
+def lower_balls(machine: MachineInCasadi, coordinates: Any) -> list[Any]:
+    """Return the b_i with these coordinates (6,) in the planes of the lower legs."""
+    return list(map(point_in, ca.vertsplit(coordinates, 2), machine.stages[0].planes))
 
 
 def quadrics(machine: MachineInCasadi, quaternion: Any, rotation: Any, position: Any) -> tuple[list[Any], Any]:
     """Return the forms (4, 4) of `leg_planes.quadric`, norm 1, and the lower balls of a root in their planes (6,)."""
     normals = ca.horzcat(*machine.axes[:3], *(rotation @ x for x in machine.axes[3:]))
-    heights = [ca.dot(plane.x, plane.pivot) for plane in machine.planes]
+    heights = machine.heights()
     heights = ca.vertcat(*heights[:3], *(h + ca.dot(normals[:, 3 + i], position) for i, h in enumerate(heights[3:])))
     stages = [
         leg_planes.StagePlanes(
@@ -389,30 +442,31 @@ def quadrics(machine: MachineInCasadi, quaternion: Any, rotation: Any, position:
     turned = [turn @ ball for ball in machine.balls]
     gaps = heights - ca.vertcat(*(ca.dot(normals[:, i], turned[i]) for i in range(6)))
     shift = ca.solve(normals @ normals.T, normals @ gaps)
-    coordinates = [machine.planes[i].coordinates(turned[i] + shift) for i in range(3)]
+    coordinates = [in_plane(turned[i] + shift, plane) for i, plane in enumerate(machine.stages[0].planes)]
     return forms, ca.vertcat(*coordinates)
 
 
 def level_balls(machine: MachineInCasadi, stage: int, of_readings: circles.Circles) -> Any:
     """Return the balls of the lower stage, 0, or of the upper, 1, at the level start, see `circles.level_balls`."""
-    up = (1.0, -1.0)[stage] * machine.up(stage)
-    return in_casadi(circles.level_balls)(of_readings, stages_of(machine.balls)[stage], up)
+    own = machine.stages[stage]
+    return in_casadi(circles.level_balls)(of_readings, own.balls, own.up)
 
 
-def placed(machine: MachineInCasadi, lower: Sequence[Any], upper: Sequence[Any]) -> tuple[Any, Any, Any]:
-    """Return R, o and the b_i (3, 3) of two stages, their balls as formulas take them, in {B} and in {m}."""
-    (turn, origin), (turn_m, origin_m) = (
-        frame_of(columns(b), own) for b, own in ((lower, machine.balls[:3]), (upper, machine.balls[3:]))
-    )
-    rotation = turn @ turn_m.T
-    return rotation, origin - rotation @ origin_m, ca.horzcat(*columns(lower)).T
+def placed(machine: MachineInCasadi, *balls: Any) -> tuple[Any, Any, Any]:
+    """Return R, o and the b_i (3, 3) of the stages, with balls in {B} and in {m} as formulas take them."""
+    frames = [frame_of(b, stage.balls) for b, stage in zip(balls, machine.stages, strict=True)]
+    rotation, origin = frames[0]
+    if len(frames) == 2:
+        turn_m, origin_m = frames[1]
+        rotation = rotation @ turn_m.T
+        origin = origin - rotation @ origin_m
+    return rotation, origin, ca.horzcat(*columns(balls[0])).T
 
 
-def frame_of(b: Sequence[Any], own: Sequence[Any]) -> tuple[Any, Any]:
-    """Return rotation and position of the frame in which the balls at b are `own`."""
-    balls = [[parts(x) for x in points] for points in (b, own)]
-    axes = map(in_casadi(values.triangle_axes), balls)
-    rotation, position = in_casadi(ball_motions.frame_of_triangle)(*axes, *balls)
+def frame_of(b: Any, own: Any) -> tuple[Any, Any]:
+    """Return rotation and position of the frame in which the balls at b are `own`, both as formulas take them."""
+    axes = map(in_casadi(values.triangle_axes), (b, own))
+    rotation, position = in_casadi(ball_motions.frame_of_triangle)(*axes, b, own)
     return ca.vertcat(*(ca.horzcat(*row) for row in rotation)), ca.vertcat(*position)
 
 
@@ -422,7 +476,7 @@ def nominal_starts(machine: MachineInCasadi, drawn: NominalBranches) -> list[Any
     Close to a nominal fold the branches of a calibrated machine are elsewhere, or real where nominal ones are not.
     """
     joints = [drawn.branch("TT", sign, least) for least in (0.0, 1e-3, 1e-1) for sign in (1.0, -1.0)]
-    return [ca.vertcat(*(machine.planes[i].coordinates(b[i, :].T) for i in range(3))) for b in joints]
+    return [ca.vertcat(*map(in_plane, ca.horzsplit(b.T), machine.stages[0].planes)) for b in joints]
 
 
 def preference(machine: MachineInCasadi, state: StateInCasadi) -> tuple[Any, Any]:
@@ -445,7 +499,7 @@ def _calibrated_inverse(machine: MachineInCasadi, rotation: Any, position: Any) 
     drawn, unknowns = NominalBranches(machine, rotation, position), ca.SX.sym("unknowns", 6)
     starts = nominal_starts(machine, drawn)
     error = closure_equations(machine, unknowns, rotation, position)
-    joints = ca.horzcat(*(machine.planes[i].point(unknowns[2 * i : 2 * i + 2]) for i in range(3))).T
+    joints = ca.horzcat(*lower_balls(machine, unknowns)).T
     state = StateInCasadi(machine, joints, rotation, position)
     (rank, tilts), size = preference(machine, state), machine.side + ca.norm_1(position)
     closed = ca.mmax(ca.fabs(error)) <= 1e-13 * size
@@ -458,16 +512,19 @@ def _calibrated_inverse(machine: MachineInCasadi, rotation: Any, position: Any) 
     return implicit("inverse_physical", known, problem, starts, (rank * closed, tilts))
 
 
-def stage_problem(machine: MachineInCasadi, k: int, own: circles.Circles, start: Any, unknowns: Any) -> tuple[Any, ...]:
-    """Return balls, errors of half their squared distances, and the unknowns after a step, of the lower stage, 0, or 1.
+def _stage_problem(own: circles.Circles, start: Any, unknowns: Any) -> tuple[Any, ...]:
+    """Return balls of a stage, errors of half their squared distances, and the unknowns after a step.
 
     Unknown are the angles (3,) of the legs; the last of all is those of the balls to start from.
     """
-    e = machine.directions(k, unknowns)
+    first, second = in_casadi(circles.turn_origins)(own)
+    turned = in_casadi(vectors.multiples)(parts(ca.cos(unknowns)), first)
+    e = in_casadi(vectors.combinations)(turned, parts(ca.sin(unknowns)), second)
     balls = in_casadi(circles.balls_at)(own, e)
     step = in_casadi(circles.limited)(in_casadi(circles.newton_step)(own, e))
-    angles = machine.angles(k, in_casadi(circles.directions_to)(own, start))
-    return balls, ca.vertcat(*in_casadi(circles.errors)(own, balls)), unknowns - ca.vertcat(*step), angles
+    begin = in_casadi(circles.directions_to)(own, start)
+    angles = map(ca.atan2, in_casadi(vectors.dots)(second, begin), in_casadi(vectors.dots)(first, begin))
+    return balls, ca.vertcat(*in_casadi(circles.errors)(own, balls)), unknowns - ca.vertcat(*step), ca.vertcat(*angles)
 
 
 def implicit(

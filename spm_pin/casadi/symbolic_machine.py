@@ -1,7 +1,7 @@
 """A machine in CasADi: its drawing and its six legs as numbers or symbols, and the equations that hold it together.
 
 A ball lies in the plane of its leg, normal to the leg's revolute axis: on a circle where the reading is known, else
-with two coordinates, see `LegPlane`.
+with two coordinates, x and z of `planar_legs`.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import fields
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -28,8 +28,15 @@ from spm_pin.formulas import (
     wrenches,
 )
 from spm_pin.formulas.operations import bind
-from spm_pin.formulas.planar_legs import MOST_TURNED
-from spm_pin.machine import FAMILIES, LegKind, Manipulator
+from spm_pin.formulas.planar_legs import MOST_TURNED, LegPlane
+from spm_pin.formulas.stage_numbers import (
+    circles_of_readings,
+    readings_of_balls,
+    relative_slopes,
+    rods_at,
+    stage_numbers,
+)
+from spm_pin.machine import FAMILIES, LegKind, Machine, Manipulator
 from spm_pin.machine.joint_angles import joint_names
 from spm_pin.machine.leg_kinds import BOUNDS, drawn_numbers
 from spm_pin.machine.legs import AXES, RADIAL
@@ -97,21 +104,14 @@ def all_of(conditions: Sequence[Any]) -> Any:
     return every
 
 
-class LegPlane(NamedTuple):
-    """The plane of a leg's lines: its normal x, the revolute axis, and the axes y, z of `leg_constants.leg_axes`."""
+def in_plane(point: Any, plane: LegPlane) -> Any:
+    """Return x and z (2,) of a point (3,) in the plane of a leg."""
+    return ca.vertcat(*in_casadi(planar_legs.place_in_plane)(parts(point), plane))
 
-    x: Any
-    y: Any
-    z: Any
-    pivot: Any
 
-    def coordinates(self, point: Any) -> Any:
-        """Return where a point is in the plane of the leg (2,)."""
-        return ca.vertcat(ca.dot(self.y, point - self.pivot), ca.dot(self.z, point - self.pivot))
-
-    def point(self, coordinates: Any) -> Any:
-        """Return the point of the plane that has these coordinates."""
-        return self.pivot + coordinates[0] * self.y + coordinates[1] * self.z
+def point_in(coordinates: Any, plane: LegPlane) -> Any:
+    """Return the point (3,) of the plane of a leg at x and z (2,)."""
+    return ca.vertcat(*in_casadi(planar_legs.point_of_plane)(*ca.vertsplit(coordinates), plane))
 
 
 class MachineInCasadi:
@@ -125,7 +125,7 @@ class MachineInCasadi:
         Whether the parameters of the legs are an input.
     """
 
-    def __init__(self, machine: Manipulator | Literal["symbolic"] | None = None, parameters: bool = False) -> None:
+    def __init__(self, machine: Machine | Literal["symbolic"] | None = None, parameters: bool = False) -> None:
         self.inputs: list[Any] = []
         self.valid: Any = 1
         parameters = as_bool(parameters, "parameters")
@@ -133,21 +133,23 @@ class MachineInCasadi:
         if isinstance(machine, str) and machine == "symbolic" and not parameters:
             self._set_kinds(Manipulator(1.0, 1.0, 1.0))
             self.inputs = [ca.SX.sym("dimensions", 3)]
-            self._draw(*ca.vertsplit(self.inputs[0]))
+            base, platform, side = ca.vertsplit(self.inputs[0])
+            self._draw((base, platform), side)
             return
-        if not isinstance(machine, Manipulator | None):
+        if not isinstance(machine, Machine | None):
             raise ArgumentError("machine", 'a Manipulator, "symbolic" or None', type_and_value(machine))
         machine = machine or Manipulator.paper()
         self._set_kinds(machine)
-        self._draw(*machine.nominal.dimensions)
+        self._draw(tuple(radius for radius, _ in machine.stage_radii), machine.ball_side)
         if parameters:
             self.inputs = [ca.SX.sym("parameters", len(machine.parameters))]
-            self._set_legs(*_legs_of_parameters(self.inputs[0][:54]))
-            further = ca.vertsplit(self.inputs[0][54:])
+            first = 9 * len(self.numbers)
+            further = ca.vertsplit(self.inputs[0][first:])
             for leg, own in enumerate(self.numbers):
                 count = len(self.kinds[leg // 3].identified)
                 self.numbers[leg], further = (*further[:count], *own[count:]), further[count:]
             self._check_numbers()
+            self._set_legs(*_legs_of_parameters(self.inputs[0][:first]))
         elif not machine.is_nominal:
             self.is_nominal = False
             axes, pivots, balls = ([ca.SX(v) for v in array] for array in machine.legs.arrays[:3])
@@ -166,23 +168,24 @@ class MachineInCasadi:
         numbers = ca.vertsplit(ca.vertcat(*symbolic.inputs[len(FIELDS) :]))
         for leg, fixed in enumerate(symbolic.numbers):
             symbolic.numbers[leg], numbers = tuple(numbers[: len(fixed)]), numbers[len(fixed) :]
-        symbolic._draw(*ca.vertsplit(symbols["dimensions"]))
+        symbolic.minimum, symbolic.maximum = symbols["minimum"], symbols["maximum"]
+        base, platform, side = ca.vertsplit(symbols["dimensions"])
+        symbolic._draw((base, platform), side)
         symbolic._check_numbers()
         axes, pivots, balls = (ca.vertsplit(symbols[name], 3) for name in ("axes", "pivots", "balls"))
         units = [ca.vertcat(*in_casadi(vectors.direction)(parts(x))) for x in axes]
         symbolic._set_legs(units, pivots, balls, symbols["offsets"])
-        symbolic.minimum, symbolic.maximum = symbols["minimum"], symbols["maximum"]
         return symbolic
 
     def nominal(self) -> MachineInCasadi:
         """Return a machine whose axes, pivots and balls are nominal, and all else this one's."""
         drawn = copy(self)
         drawn.is_nominal = True
-        drawn._draw(self.base, self.platform, self.side)
+        drawn._draw(self.radii, self.side)
         drawn.offsets, drawn.valid = self.offsets, self.valid
         return drawn
 
-    def _set_kinds(self, machine: Manipulator) -> None:
+    def _set_kinds(self, machine: Machine) -> None:
         self.kinds = kinds = machine.legs.kinds
         self.joint_names = joint_names(machine)
         limits = machine.limits or machine.legs.free_limits
@@ -198,22 +201,31 @@ class MachineInCasadi:
                 within = x * x == 1.0 if name.name == "sign" else ca.logic_and(x >= low, x <= high)
                 self.valid = ca.logic_and(self.valid, within)
 
-    def _draw(self, base: Any, platform: Any, side: Any) -> None:
-        self.base, self.platform, self.side, self.r = base, platform, side, side / np.sqrt(3.0)
-        self.valid = all_of([ca.logic_and(x >= SMALLEST, x <= LARGEST) for x in (base, platform, side)])
+    def _draw(self, radii: tuple[Any, ...], side: Any) -> None:
+        self.radii, self.side, self.r = radii, side, side / np.sqrt(3.0)
+        self.valid = all_of([ca.logic_and(x >= SMALLEST, x <= LARGEST) for x in (*radii, side)])
         corners = [self.r * ca.SX(v) for v in RADIAL]
-        pivots = [radius * ca.SX(v) for radius in (base, platform) for v in RADIAL]
-        self._set_legs([ca.SX(v) for v in (*AXES, *AXES)], pivots, corners + corners, ca.SX.zeros(6))
+        pivots, count = [radius * ca.SX(v) for radius in radii for v in RADIAL], len(radii)
+        self._set_legs([ca.SX(v) for v in AXES] * count, pivots, corners * count, ca.SX.zeros(3 * count))
 
     def _set_legs(self, axes: list[Any], pivots: list[Any], balls: list[Any], offsets: Any) -> None:
         self.axes, self.pivots, self.balls, self.offsets = axes, pivots, balls, offsets
-        self.planes, self._own_planes = [], []
-        for leg, (axis, pivot) in enumerate(zip(axes, pivots, strict=True)):
-            x, y, z = columns(in_casadi(leg_constants.leg_axes)(parts(axis)))
-            self.planes.append(LegPlane(x, y, z, pivot))
-            # Radially outwards, and towards the middle platform: see `planar_legs.plane_axes`.
-            outward, forward = -leg_constants.TANGENT_SIGNS[leg % 3] * y, (1.0, -1.0)[leg // 3] * z
-            self._own_planes.append(planar_legs.LegPlane(parts(pivot), parts(outward), parts(forward)))
+        self.stages = []
+        for k, kind in enumerate(self.kinds):
+            own = slice(3 * k, 3 * k + 3)
+            three = [rows(x[own]) for x in (axes, pivots, balls)]
+            ends, numbers = (parts(self.minimum[own]), parts(self.maximum[own])), tuple(self.numbers[own])
+            up, side = kind.up_of(in_casadi, numbers), 1.0 - 2.0 * k
+            self.stages.append(in_casadi(stage_numbers)(three, parts(offsets[own]), ends, numbers, side, up))
+
+    @property
+    def planes(self) -> list[LegPlane]:
+        """The planes of the legs."""
+        return [plane for stage in self.stages for plane in stage.planes]
+
+    def heights(self) -> list[Any]:
+        """Return a_i·(pivot i) of the legs, in {B} or {m}."""
+        return [ca.dot(axis, pivot) for axis, pivot in zip(self.axes, self.pivots, strict=True)]
 
     def function(self, name: str, inputs: list[Any], outputs: dict[str, Any]) -> ca.Function:
         """Make a function; inputs are named as their symbols are."""
@@ -244,70 +256,42 @@ class MachineInCasadi:
         return [*b, *columns(upper)]
 
     def circles(self, stage: int, readings: Any) -> circles.Circles:
-        """Return the circles of the balls of the lower stage, 0, or of the upper, 1, for the readings (6,)."""
-        legs = slice(3 * stage, 3 * stage + 3)
-        squares = in_casadi(circles.squared_sides)(stages_of(self.balls)[stage])
-        centres, radii = zip(*(self.circle(leg, (readings - self.offsets)[leg]) for leg in range(6)[legs]), strict=True)
-        return circles.Circles(rows(self.axes[legs]), rows(centres), radii, squares)
+        """Return the circles of the balls of the lower stage, 0, or of the upper, 1, for the readings of all legs."""
+        own = parts((readings - self.offsets)[3 * stage : 3 * stage + 3])
+        three: circles.Circles = in_casadi(circles_of_readings)(own, self.stages[stage], self.formulas[stage])
+        return three
 
-    def circle(self, leg: int, reading: Any) -> tuple[Any, Any]:
-        """Return the centre and the radius of a ball's circle for a reading without its offset."""
-        x, z, radius = self.formulas[leg // 3].circle(reading, self.numbers[leg])
-        return ca.vertcat(*in_casadi(planar_legs.point_of_plane)(x, z, self._own_planes[leg])), radius
+    def slopes_at(self, balls: Sequence[Any], readings: Sequence[Any]) -> list[Any]:
+        """Return κ over the largest for balls of each stage, in {B} or {m}, and readings of all legs without offsets.
 
-    def of_ball(self, name: str, leg: int, ball: Any, *further: Any) -> Any:
-        """Return the value of a formula of the leg's kind, such as "reading", for a ball in {B} or {m}, as its leg."""
-        place = in_casadi(planar_legs.place_in_plane)(parts(ball), self._own_planes[leg])
-        return getattr(self.formulas[leg // 3], name)(*place, *further, self.numbers[leg])
-
-    @property
-    def middles(self) -> list[Any]:
-        """Angles to which readings of cranks, without offsets, are nearest; see `planar_legs.crank_middle`."""
-        ends = zip(*map(ca.vertsplit, (self.minimum, self.maximum, self.offsets)), strict=True)
-        return [in_casadi(planar_legs.crank_middle)(*leg) for leg in ends]
-
-    def reading(self, leg: int, ball: Any) -> Any:
-        """Return the reading of a leg, without its offset, whose ball is there in {B} or {m}."""
-        return self.of_ball("reading", leg, ball, self.middles[leg])
+        Zero where a leg is singular, negative in another working mode.
+        """
+        stages = zip(balls, self.stages, self.formulas, strict=True)
+        relative: list[Any] = []
+        for k, (b, *stage) in enumerate(stages):
+            slopes, _ = in_casadi(rods_at)(b, readings[3 * k : 3 * k + 3], *stage)
+            relative += in_casadi(relative_slopes)(slopes, *stage)
+        return relative
 
     def are_readings(self, own: Sequence[Any]) -> list[Any]:
         """Return where readings of the first legs, without offsets, are finite, and those of cranks within a turn."""
         most = (MOST_TURNED if self.kinds[leg // 3].unit == "rad" else np.inf for leg in range(len(own)))
         return [ca.fabs(reading) < bound for reading, bound in zip(own, most, strict=True)]
 
-    def up(self, stage: int) -> Any:
-        """Return `LegKind.up` of the lower stage, 0, or of the upper, 1."""
-        return self.kinds[stage].up_of(in_casadi, self.numbers[3 * stage : 3 * stage + 3])
-
-    def angles(self, stage: int, e: Sequence[Any]) -> Any:
-        """Return the angles (3,) of directions in the planes of a stage's legs, from their axes y towards z."""
-        planes = zip(self.planes[3 * stage : 3 * stage + 3], columns(e), strict=True)
-        return ca.vertcat(*(ca.atan2(ca.dot(plane.z, x), ca.dot(plane.y, x)) for plane, x in planes))
-
-    def directions(self, stage: int, angles: Any) -> list[Any]:
-        """Return the directions at these angles (3,)."""
-        planes = self.planes[3 * stage : 3 * stage + 3]
-        return [parts(ca.cos(angles[i]) * plane.y + ca.sin(angles[i]) * plane.z) for i, plane in enumerate(planes)]
-
     def leg_frames(self, stage: int, own_axes: Any) -> Sequence[joint_values.LegFrame]:
         """Return the constants of a stage's legs; `own_axes` are the axes of the lower balls' triangle in {n}."""
-        legs, radius = slice(3 * stage, 3 * stage + 3), (self.base, self.platform)[stage]
-        limits, middles = (ca.mmax(self.minimum[legs]), ca.mmin(self.maximum[legs])), parts(self.middles[legs])
-        numbers = drawn_numbers(self.numbers[legs], len(self.kinds[stage].identified)), self.numbers[legs]
-        placed = leg_planes.StageLegs(rows(self.axes[legs]), rows(self.pivots[legs]))
-        triangles, up = (radius, self.r), (1.0, -1.0)[stage]
+        legs, placed = slice(3 * stage, 3 * stage + 3), self.stages[stage]
+        limits, radii = (ca.mmax(self.minimum[legs]), ca.mmin(self.maximum[legs])), (self.radii[stage], self.r)
+        drawn, up = drawn_numbers(placed.numbers, len(self.kinds[stage].identified)), 1.0 - 2.0 * stage
         formula, kind = in_casadi(joint_values.stage_frames), self.formulas[stage]
-        frames: Sequence[joint_values.LegFrame] = formula(
-            placed, own_axes, triangles, limits, middles, numbers, up, kind
-        )
+        frames: Sequence[joint_values.LegFrame] = formula(placed, own_axes, radii, limits, drawn, up, kind)
         return frames
 
 
 def _legs_of_parameters(parameters: Any) -> tuple[list[Any], list[Any], list[Any], Any]:
-    """Return axes, pivots, balls and offsets of 54 parameters; see `Manipulator.parameters`."""
-    rows = [parameters[9 * i : 9 * i + 9] for i in range(6)]
-    turned = in_casadi(leg_constants.turned_axis)
-    axes = [ca.vertcat(*turned(axis, row[0], row[1])) for row, axis in zip(rows, 2 * leg_constants.AXES, strict=True)]
+    """Return axes, pivots, balls and offsets of nine parameters of each leg; see `Manipulator.parameters`."""
+    rows, turned = ca.vertsplit(parameters, 9), in_casadi(leg_constants.turned_axis)
+    axes = [ca.vertcat(*turned(leg_constants.AXES[i % 3], row[0], row[1])) for i, row in enumerate(rows)]
     return axes, [row[2:5] for row in rows], [row[5:8] for row in rows], ca.vertcat(*(row[8] for row in rows))
 
 
@@ -323,12 +307,23 @@ class StateInCasadi:
         self.balls = machine.all_balls(self.joints)
         self.bases = self._in_base(machine.pivots)
         self.axes = [*machine.axes[:3], *(rotation @ a for a in machine.axes[3:])]
-        self._own = [x for stage in self.own_balls() for x in stage]
-        own = [machine.reading(leg, ball) for leg, ball in enumerate(self._own)]
-        self.readings, self.slopes = ca.vertcat(*own) + machine.offsets, self.slopes_at(own)
-        centres = self._in_base([machine.circle(leg, reading)[0] for leg, reading in enumerate(own)])
-        self.vectors = [self.balls[i] - centres[i] for i in range(3)]
-        self.vectors += [centres[i] - self.balls[i] for i in range(3, 6)]
+        self._own = [rows(balls) for balls in self.own_balls()]
+        stages = zip(self._own, machine.stages, machine.formulas, strict=True)
+        own: list[Any] = []
+        reaches: list[Any] = []
+        rods: list[Any] = []
+        self.slopes: list[Any] = []
+        for balls, *stage in stages:
+            readings, reach = in_casadi(readings_of_balls)(balls, *stage)
+            slopes, of_stage = in_casadi(rods_at)(balls, readings, *stage)
+            own += readings
+            reaches += reach
+            rods += columns(of_stage)
+            self.slopes += slopes
+        self.readings = ca.vertcat(*own) + machine.offsets
+        # The least reach of a leg is negative where a ball is out of reach.
+        self.reach = ca.mmin(ca.vertcat(*reaches))
+        self.vectors = [*rods[:3], *(-rotation @ x for x in rods[3:])]
         (lower, lower_lengths), (upper, upper_lengths) = map(
             in_casadi(vectors.directions_and_lengths), stages_of(self.vectors)
         )
@@ -339,21 +334,10 @@ class StateInCasadi:
         """Return points of the lower legs' base and of {m} in {B}."""
         return [*points[:3], *(self.position + self.rotation @ p for p in points[3:])]
 
-    @property
-    def reach(self) -> Any:
-        """The least of the legs' reaches, negative where a ball is out of reach."""
-        return ca.mmin(ca.vertcat(*(self.machine.of_ball("reach", leg, ball) for leg, ball in enumerate(self._own))))
-
-    def slopes_at(self, readings: Sequence[Any]) -> list[Any]:
-        """Return κ of the legs with these readings, without their offsets."""
-        balls = enumerate(zip(self._own, readings, strict=True))
-        return [self.machine.of_ball("slope", leg, ball, reading) for leg, (ball, reading) in balls]
-
-    def least_slope(self, slopes: Sequence[Any]) -> Any:
-        """Return the least κ over the largest of the working mode: zero where a leg is singular, below in another."""
-        machine = self.machine
-        largest = [machine.formulas[leg // 3].largest_slope(machine.numbers[leg]) for leg in range(6)]
-        return ca.mmin(ca.vertcat(*(slope / most for slope, most in zip(slopes, largest, strict=True))))
+    def least_slope(self, readings: Any) -> Any:
+        """Return the least κ over the largest of legs with these readings (6,), see `MachineInCasadi.slopes_at`."""
+        own = ca.vertsplit(readings - self.machine.offsets)
+        return ca.mmin(ca.vertcat(*self.machine.slopes_at(self._own, own)))
 
     def own_balls(self) -> tuple[list[Any], list[Any]]:
         """Return the lower balls in {B} and the upper ones in {m}."""
@@ -361,8 +345,7 @@ class StateInCasadi:
 
     def in_planes(self) -> Any:
         """Return the coordinates (6,) of the lower balls in their legs' planes."""
-        places = zip(self.machine.planes[:3], self.balls[:3], strict=True)
-        return ca.vertcat(*(plane.coordinates(b) for plane, b in places))
+        return ca.vertcat(*map(in_plane, self.balls[:3], self.machine.planes))
 
     def force_rows(self, directions: Sequence[Any]) -> Any:
         """Return forces of size one through the six balls as rows (f, (b - p) x f / d), p the mean of the b_i."""
@@ -375,10 +358,12 @@ class StateInCasadi:
 
     def is_physical(self) -> tuple[Any, Any]:
         """Return whether the state is physical, leg limits aside, and the sum of the cosines of both stages' tilts."""
-        turn, (b, c) = [parts(self.rotation[i, :]) for i in range(3)], stages_of(self.balls)
-        outer = stages_of([self.machine.up(leg // 3) * vector for leg, vector in enumerate(self.vectors)])
-        physical = in_casadi(branches.is_physical)(b, c, *outer, *stages_of(self.axes), turn, parts(self.position))
-        return ca.logic_and(physical, self.reach >= 0.0), in_casadi(branches.tilt_cosine_sum)(b, turn)
+        physical = [self.reach >= 0.0]
+        for k, (b, stage) in enumerate(zip(self._own, self.machine.stages, strict=True)):
+            centres = self.machine.circles(k, self.readings).centres
+            physical.append(in_casadi(circles.is_home_state)(b, centres, stage.axes, stage.up))
+        turn = [parts(self.rotation[i, :]) for i in range(3)]
+        return all_of(physical), in_casadi(branches.tilt_cosine_sum)(rows(self.joints), turn)
 
 
 class NominalBranches:

@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable
 from functools import cache, cached_property
 from importlib import import_module
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -74,17 +75,23 @@ class _Command(TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Read the options; an error about a value shows the typed text and the expected number of values."""
-        typed = list(args)
+        options: dict[str, Any] = {name: parameter for parameter in self.params for name in parameter.opts}
+        typed: dict[Any, list[str]] = {}
+        for place, text in enumerate(args):
+            if text in options:
+                typed[options[text]] = list(takewhile(lambda value: not value.startswith("--"), args[place + 1 :]))
+        has_arguments = any(parameter.param_type_name == "argument" for parameter in self.params)
+        for parameter, values in typed.items():
+            if 1 < parameter.nargs != len(values) and not (has_arguments and len(values) > parameter.nargs):
+                raise typer.BadParameter(_numbers_expected(parameter, values), ctx=ctx, param=parameter)
         try:
-            return super().parse_args(ctx, args)
+            return super().parse_args(ctx, list(args))
         except typer.BadParameter as error:
-            parameter: Any = error.param
-            places = [k for k, text in enumerate(typed) if parameter and text in parameter.opts]
-            if len(places) == 1:
-                count = parameter.nargs
-                received = " ".join(typed[places[0] + 1 :][:count])
-                wanted = f"expected {count} numbers, {parameter.metavar}" if count > 1 else error.message
-                error.message = wanted if received in wanted else f"{wanted}, got {received}"
+            wrong: Any = error.param
+            if (values := typed.get(wrong, [])) and wrong.nargs > 1:
+                error.message = _numbers_expected(wrong, values)
+            elif values and values[0] not in error.message:
+                error.message += f", got {values[0]}"
             raise
 
     def invoke(self, ctx: Any) -> Any:
@@ -95,42 +102,35 @@ class _Command(TyperCommand):
             raise typer.Exit(74) from None
 
 
+def _numbers_expected(parameter: Any, values: list[str]) -> str:
+    return f"expected {parameter.nargs} numbers, {parameter.metavar}, got {' '.join(values) or 'none'}"
+
+
 _COMMANDS = {
-    "demo": ("crosscheck", "manipulator"),
-    "inverse": ("states", "either"),
-    "nearest": ("states", "either"),
-    "forward": ("states", "either"),
-    "reproduce": ("crosscheck", "manipulator"),
-    "crosscheck": ("crosscheck", "either"),
-    "singularities": ("states", "either"),
-    "certify": ("move", "either"),
-    "calibrate": ("calibrate", "either"),
-    "tolerance": ("calibrate", "either"),
-    "move": ("move", "either"),
-    "statics": ("states", "either"),
-    "write": ("export", "either"),
-    "urdf": ("export", "either"),
-    "draw": ("draw", "either"),
-    "view": ("draw", "either"),
-    "export": ("export", "either"),
-    "workspace": ("workspace", "manipulator"),
-    "reach": ("workspace", "stage"),
-    "sweep": ("sweep", "either"),
-    "design": ("sweep", "either"),
+    "crosscheck": ("demo", "reproduce", "crosscheck"),
+    "states": ("inverse", "nearest", "forward", "singularities", "statics"),
+    "draw": ("draw", "view"),
+    "workspace": ("workspace", "reach"),
+    "move": ("certify", "move"),
+    "calibrate": ("calibrate", "tolerance"),
+    "sweep": ("sweep", "design"),
+    "export": ("write", "export"),
 }
-"""The commands, named like their functions, in the order of the help: their files, and the machines that they take."""
+"""The commands, named like their functions, in the order of the help, by their files."""
+_OF_OTHERS = {False: {"reach"}, True: {"demo", "reproduce", "workspace"}}
+"""The commands that a manipulator, or a stage, does not have."""
 
 
 def _add_commands(group: typer.Typer, *, of_stage: bool) -> None:
     """Add the commands of a kind of machine; the help has the examples for it."""
-    wrong = "manipulator" if of_stage else "stage"
-    for name, (file, kind) in _COMMANDS.items():
-        if kind == wrong:
-            continue
-        # Typer would keep the line breaks of the docstring and wrap them again in a narrower window.
-        paragraphs = [" ".join(text.split()) for text in _docstrings(file)[name].split("\n\n")]
-        kept = [text for text in paragraphs if "Example" not in text or (": spm-pin stage " in text) == of_stage]
-        group.command(name, cls=_Command, help="\n\n".join(kept))(_loader(name, file, of_stage=of_stage))
+    for file, names in _COMMANDS.items():
+        for name in names:
+            if name in _OF_OTHERS[of_stage]:
+                continue
+            # Typer would keep the line breaks of the docstring and wrap them again in a narrower window.
+            paragraphs = [" ".join(text.split()) for text in _docstrings(file)[name].split("\n\n")]
+            kept = [text for text in paragraphs if "Example" not in text or (": spm-pin stage " in text) == of_stage]
+            group.command(name, cls=_Command, help="\n\n".join(kept))(_loader(name, file, of_stage=of_stage))
 
 
 def _loader(name: str, file: str, *, of_stage: bool) -> Callable[[], Callable[..., None]]:

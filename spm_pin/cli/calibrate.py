@@ -14,7 +14,7 @@ from spm_pin.calibration import Calibration, Inclinations, MeasurementError, ide
 from spm_pin.calibration import tolerance as analyse
 from spm_pin.calibration.measurements import LEVEL_NOISE, TRACKER_NOISE
 from spm_pin.cli import outputs
-from spm_pin.cli.options import warnings_as_notes
+from spm_pin.cli.options import MachineFile, Picture, Seed, warnings_as_notes
 from spm_pin.cli.outputs import Part, Report, Table
 from spm_pin.cli.units import MachineInUnits
 from spm_pin.display.figures import calibration_figure
@@ -32,38 +32,33 @@ def calibrate(
         ),
     ],
     typed: MachineInUnits,
-    out: Annotated[Path | None, outputs.file_option("YAML file of the machine to write.", (".yaml", ".yml"))] = None,
-    figure: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) of the errors to write.")] = None,
-    identified: Annotated[
-        list[str] | None,
-        Option("--identify", metavar="NAME", help="Parameters, such as offset or r_b1; may be repeated. Default: all."),
+    out: MachineFile = None,
+    figure: Picture = None,
+    parameters: Annotated[
+        list[str] | None, Option("--identify", metavar="NAME", help="Such as offset or r_b1; repeatable. Default: all.")
     ] = None,
     pose_noise: Annotated[
         tuple[float, float] | None,
         Option(
             metavar="M RAD",
-            help="Standard deviations of positions or heights \\[m], and of orientations or tilts \\[rad]; default: "
-            "1e-5 1e-5, of heights, roll and pitch 5e-4 2e-3.",
+            help="Standard deviations of positions or heights, and of orientations or tilts; default: 1e-5 1e-5, "
+            "of heights, roll and pitch 5e-4 2e-3.",
         ),
     ] = None,
-    reading_noise: Annotated[
-        float, Option(metavar="M", help="Standard deviation of the readings \\[m], for RRS legs \\[rad].")
-    ] = 1e-6,
+    reading_noise: Annotated[float, Option(metavar="M", help="Standard deviation of readings \\[m or rad].")] = 1e-6,
     frames: Annotated[
         bool,
         Option("--frames", help="Estimate the frames too: of a tracker and its target, or of the base and an IMU."),
     ] = False,
-    tolerance: Annotated[
+    tolerances: Annotated[
         list[str] | None,
         Option(
+            "--tolerance",
             metavar="SIGMA",
-            help="Standard deviation of all dimensions as made \\[m, rad], or offset=SIGMA of some, which are named as "
-            "for --identify; may be repeated. Unknown if not given.",
+            help="Standard deviation of dimensions as made \\[m, rad]; or NAME=SIGMA, as for --identify; repeatable.",
         ),
     ] = None,
-    loss: Annotated[
-        str, Option(help="linear refuses outliers; soft_l1, huber and cauchy give them less weight.")
-    ] = "linear",
+    loss: Annotated[str, Option(help="linear refuses outliers; soft_l1, huber, cauchy weigh them less.")] = "linear",
     force: Annotated[bool, Option("--force", help="Write --out even if the measurements do not fit.")] = False,
 ) -> Report:
     """Identify a machine from measured poses, or from tilts of an IMU and heights of a ruler, and leg readings.
@@ -86,10 +81,10 @@ def calibrate(
         poses, readings = read_measurements(measurements)
     if pose_noise is None:
         pose_noise = LEVEL_NOISE if isinstance(poses, Inclinations) else TRACKER_NOISE
-    noise: dict[str, Any] = {"pose_noise": pose_noise, "reading_noise": reading_noise, "frames": frames}
-    noise["tolerances"] = _read_tolerances(tolerance, typed.names) if tolerance else None
+    made = _read_tolerances(tolerances, typed.names) if tolerances else None
+    noise: dict[str, Any] = {"pose_noise": pose_noise, "reading_noise": reading_noise, "tolerances": made}
     try:
-        calibration = identify(machine, poses, readings, parameters=identified, loss=loss, **noise)
+        calibration = identify(machine, poses, readings, parameters=parameters, loss=loss, frames=frames, **noise)
     except MeasurementError as error:
         message = _with_lines(f"error: the measurements fit no machine: {error}", error.rows, measurements)
         outputs.note(message, "bold red")
@@ -106,7 +101,7 @@ def calibrate(
         if calibration.status == "misfit":
             metres, radians = pose_noise
             outputs.note(f"noise given: --pose-noise {metres:g} {radians:g} --reading-noise {reading_noise:g}")
-    parts = _parts(calibration, measurements, has_tolerances=bool(tolerance))
+    parts = _parts(calibration, measurements, has_tolerances=bool(tolerances))
     return Report(_content(calibration), parts, 0 if fits or force else 1)
 
 
@@ -213,7 +208,7 @@ def tolerance(
     by: Annotated[str, Option(help="Group of the ranking: parameter, component, kind or leg.")] = "component",
     states: Annotated[int, Option(min=1, help="Number of random states within the leg limits.")] = 60,
     samples: Annotated[int, Option(min=0, help="Number of random machines; 0 for first order only.")] = 200,
-    seed: Annotated[int, Option(min=0, help="Seed of states and machines.")] = 0,
+    rng: Seed = 0,
 ) -> Report:
     """Predict the accuracy of the platform for tolerances of the dimensions, and rank them.
 
@@ -228,14 +223,14 @@ def tolerance(
     for name, deviation in (("rod", rod), ("crank", crank)):
         if deviation is not None or any(x.endswith(f".{name}") for x in machine.parameter_names):
             table[name] = 1e-4 if deviation is None else deviation
-    analysis = analyse(machine, table, states, samples=samples, rng=seed)
+    analysis = analyse(machine, table, states, samples=samples, rng=rng)
     ranking = analysis.ranking(by)
-    linear, sampled = analysis.rms, analysis.sampled_rms
-    sizes = {"rms": linear, "sampled_rms": sampled}
-    named = {name: {"position": size[0], "angle": size[1]} for name, size in sizes.items()}
-    lines = [f"RMS error of the platform at {states} states, to first order: {_text(linear)}"]
+    sizes = {"rms": analysis.rms, "sampled_rms": analysis.sampled_rms}
+    named = {name: dict(zip(("position", "angle"), size, strict=True)) for name, size in sizes.items()}
+    lines = [f"RMS error of the platform at {states} states, to first order: {_text(analysis.rms)}"]
     if samples:
-        lines.append(f"of {samples} random machines: {_text(sampled)}; 95 % within {_text(analysis.percentile())}")
+        spread = f"{_text(analysis.sampled_rms)}; 95 % within {_text(analysis.percentile())}"
+        lines.append(f"of {samples} random machines: {spread}")
     columns = {by: lambda row: str(row[0]), "share": lambda row: f"{row[1]:.1%}"}
     shares = Table("Shares of the variance of the position", columns, ranking[:20])
     return Report({"tolerances": table, **named, "shares": dict(ranking)}, [*lines, shares])

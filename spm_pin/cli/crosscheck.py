@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-import sys
 from collections import Counter
 from dataclasses import astuple
 from itertools import groupby
@@ -12,11 +10,12 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import typer
+from typer import Option
 
 from spm_pin.cli import outputs
 from spm_pin.cli.draw import titled_branches
-from spm_pin.cli.outputs import Part, Sentence, Table
+from spm_pin.cli.options import Picture, Seed
+from spm_pin.cli.outputs import Part, Table
 from spm_pin.cli.outputs import Report as Shown
 from spm_pin.cli.requests import selected_labels
 from spm_pin.cli.units import MachineInUnits
@@ -48,35 +47,29 @@ _STYLES = {Verdict.MISPRINT: "yellow", Verdict.NOT_PRINTED: "yellow", Verdict.UN
 
 def crosscheck(
     typed: MachineInUnits,
-    poses: Annotated[
-        int, typer.Option(min=1, help="Random poses: four fifths from readings within the limits, the others any.")
-    ] = 200,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the poses and of the wrenches.")] = 0,
-    method: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME", help=f"{', '.join(METHODS)}; may be repeated. Default: all that take the machine."
-        ),
+    poses: Annotated[int, Option(min=1, help="Random poses: a fifth anywhere, others within the limits.")] = 200,
+    seed: Seed = 0,
+    methods: Annotated[
+        list[str] | None, Option("--method", metavar="NAME", help=f"{', '.join(METHODS)}; repeatable. Default: all.")
     ] = None,
-    pairs: Annotated[bool, typer.Option("--pairs", help="Show every pair of methods, not only the worst.")] = False,
+    pairs: Annotated[bool, Option("--pairs", help="Show every pair of methods, not only the worst.")] = False,
     out: Annotated[Path | None, outputs.file_option("JSON file of the report to write.")] = None,
-    figure: Annotated[Path | None, outputs.picture_option("Picture of the differences of all pairs to write.")] = None,
+    figure: Picture = None,
 ) -> Shown:
     """Solve random poses, or tilts and heights of a stage, by independent methods and compare the results.
 
     Branches, inverse Jacobians and leg forces are compared in pairs, with tolerances from conditioning and rounding.
     Exits with 1 if the methods disagree; of three or more it names the one that does. If interrupted, it reports the
-    poses done so far.
-    --figure needs the extra "plots".
+    poses done so far. --figure draws the differences of all pairs, and needs the extra "plots".
     """
-    report = _compare(typed.machine, poses, seed, method)
+    report = _compare(typed.machine, poses, seed, methods)
     file = None if typed.file is None else str(typed.file)
     content = _comparison_content(report, file)
     if out is not None:
         outputs.write_json(content, out)
     outputs.write_figure(figure, agreement_figure, report)
     tables = [_scores(report), _differences(report, pairs)]
-    parts: list[Part] = [_verdict("", report), "", *tables, *_remarks(report, method is None, file)]
+    parts: list[Part] = [_verdict("", report), "", *tables, *_remarks(report, methods is None, file)]
     return Shown(content, parts, _exit_code(report))
 
 
@@ -99,7 +92,7 @@ def _exit_code(report: Report, failed: bool = False) -> int:
     return 130 if report.poses < report.requested else int(failed or not report.agrees)
 
 
-def _verdict(heading: str, report: Report) -> Sentence:
+def _verdict(heading: str, report: Report) -> tuple[str, str]:
     """Return the result of a comparison in one sentence, naming methods that did not solve every pose."""
     done, names = report.poses, []
     for score in report.scores:
@@ -112,7 +105,7 @@ def _verdict(heading: str, report: Report) -> Sentence:
     if done < report.requested:
         count = f"Interrupted after {done} of {report.requested} poses"
     line = f"{heading}{count}, {report.states} configurations, by {', '.join(names)}. {report.verdict}"
-    return Sentence(line, "bold green" if report.agrees else "bold red")
+    return line, "bold green" if report.agrees else "bold red"
 
 
 def _scores(report: Report) -> Table:
@@ -159,17 +152,14 @@ def _remarks(report: Report, all_methods: bool, file: str | None) -> list[str]:
     if all_methods and absent:
         why = dict.fromkeys(absent, "its package is not installed") | {"paper": "nominal manipulators of RPS legs only"}
         lines.append(f"Left out: {', '.join(f'{name} ({why[name]})' for name in absent)}.")
-    worst = report.worst
-    if worst is not None:
+    if (worst := report.worst) is not None:
         what = f"{worst.quantity}, {worst.first} and {worst.second}, branch {worst.branch}"
-        which = "Largest difference" if worst.ratio > 1.0 else "Nearest to the tolerance"
-        ratio = f"{worst.ratio:.0e} times the tolerance"
-        lines.append(f"{which}: {what}, {ratio}, at the pose\n  {report.command(worst.pose, file)}")
+        ratio = f"{worst.ratio:.0e} times the tolerance, at the pose\n  {report.command(worst.pose, file)}"
+        lines.append(f"{'Largest difference' if worst.ratio > 1.0 else 'Nearest to the tolerance'}: {what}, {ratio}")
     for score in report.scores:
         if score.pose >= 0:
-            rate = f"{100 * score.allowed:g} %"
-            rated = f"more often than the {rate} it states" if score.misses_too_often else f"within its {rate}"
-            what = f"branches lost at {score.missed} poses, {rated}"
+            rate = "more often than" if score.misses_too_often else "within"
+            what = f"branches lost at {score.missed} poses, {rate} the {100 * score.allowed:g} % that it states"
             if score.invented:
                 what = f"{score.invented} branches whose loops are not closed"
             lines.append(f"{score.name}: {what}. The first is at the pose\n  {report.command(score.pose, file)}")
@@ -192,18 +182,16 @@ def _comparison_content(report: Report, file: str | None) -> dict[str, Any]:
     }
 
 
-_NEXT = (
-    ("inverse --help", "all branches of a pose; the paper's as example"),
-    ("view", 'drag the platform in a browser (extra "viewer")'),
-    ("reproduce", "the cause of each difference from the paper"),
-)
+_NEXT = """Try next:
+  spm-pin inverse --help  all branches of a pose; the paper's as example
+  spm-pin view            drag the platform in a browser (extra "viewer")
+  spm-pin reproduce       the cause of each difference from the paper"""
 
 
 def demo(
-    out: Annotated[Path | None, outputs.picture_option("Picture of the example's branches: .png, .svg, .pdf.")] = None,
-    poses: Annotated[int, typer.Option(min=1, help="Random poses of the comparison.")] = 50,
+    out: Picture = None, poses: Annotated[int, Option(min=1, help="Random poses of the comparison.")] = 50
 ) -> None:
-    """Reproduce the paper, compare all methods, and draw the example.
+    """Reproduce the paper, compare all methods, and draw the branches of the paper's example.
 
     Exits with 1 if a printed number is unexplained or the methods disagree. --out needs the extra "plots".
     """
@@ -216,28 +204,22 @@ def demo(
         solutions = inverse_displacement(Manipulator.paper(), example)
         save_gallery(titled_branches(solutions, selected_labels(solutions, None)), out)
         parts.append(f"  {out}: picture of the six real branches of the paper's pose")
-    program = "spm-pin" if shutil.which("spm-pin") else sys.argv[0]
-    width = max(len(arguments) for arguments, _ in _NEXT)
-    parts += ["Try next:", *(f"  {program} {arguments:{width}}  {what}" for arguments, what in _NEXT)]
+    parts.append(_NEXT)
     Shown(None, parts, _exit_code(report, failed=bool(reproduction.unexplained))).show(json=False)
 
 
 def reproduce(
-    table: Annotated[
-        list[int] | None,
-        typer.Option(
-            metavar="NUMBER",
-            help="Show every cell of a table, 1 to 5; may be repeated. Default: all that take the machine.",
-        ),
+    tables: Annotated[
+        list[int] | None, Option("--table", metavar="NUMBER", help="Show every cell of a table, 1 to 5; repeatable.")
     ] = None,
-    cells: Annotated[bool, typer.Option("--cells", help="Show every cell of all tables.")] = False,
+    cells: Annotated[bool, Option("--cells", help="Show every cell of all tables.")] = False,
     out: Annotated[Path | None, outputs.file_option("JSON file of all results to write.")] = None,
 ) -> Shown:
     """Recompute the paper's tables and compare every printed digit.
 
     Exits with 1 if a printed number differs and no cause was found.
     """
-    reproduction = recompute(TABLES if table is None else table)
+    reproduction = recompute(TABLES if tables is None else tables)
     content = {
         "unit": "cm",
         "cells": [vars(cell) | {"difference": cell.difference} for cell in reproduction.cells],
@@ -251,14 +233,14 @@ def reproduce(
     if out is not None:
         outputs.write_json(content, out)
     parts: list[Part] = [_summary("", reproduction), "", _tables_summary(reproduction)]
-    parts += _cells(reproduction) if cells or table is not None else []
+    parts += _cells(reproduction) if cells or tables is not None else []
     parts += [f"• {line}" for line in _findings(reproduction)]
     if reproduction.unexplained:
         outputs.note(f"{len(reproduction.unexplained)} printed values differ without an explanation", "bold red")
     return Shown(content, parts, int(bool(reproduction.unexplained)))
 
 
-def _summary(heading: str, reproduction: Reproduction) -> Sentence:
+def _summary(heading: str, reproduction: Reproduction) -> tuple[str, str]:
     """Return the result in one sentence, with the counts of the tables, without the example's pose."""
     cells = reproduction.in_tables
     counts = Counter(cell.verdict for cell in cells)
@@ -269,7 +251,7 @@ def _summary(heading: str, reproduction: Reproduction) -> Sentence:
     others = ", ".join(f"{counts[verdict]} {word}" for verdict, word in words.items() if counts[verdict])
     if others:
         line += f", {'not all' if reproduction.unexplained else 'all'} others are explained: {others}"
-    return Sentence(f"{line}.", "bold red" if reproduction.unexplained else "bold green")
+    return f"{line}.", "bold red" if reproduction.unexplained else "bold green"
 
 
 def _tables_summary(reproduction: Reproduction) -> Table:

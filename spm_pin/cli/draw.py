@@ -12,9 +12,9 @@ from typing import Annotated, Any
 import numpy as np
 from typer import Option
 
-from spm_pin.cli import outputs, requests
+from spm_pin.cli import outputs
 from spm_pin.cli.options import OF_MANIPULATOR, Branches, Readings
-from spm_pin.cli.requests import Request, request_of
+from spm_pin.cli.requests import Request, request_of, selected_labels, solve_request
 from spm_pin.cli.units import LengthUnit, MachineInUnits
 from spm_pin.display.plots import NARROWEST, save_gallery, save_picture
 from spm_pin.display.writing import FORMATS
@@ -23,21 +23,16 @@ from spm_pin.machine import Configuration, Status
 
 
 def draw(
-    out: Annotated[Path, outputs.picture_option(f"Picture to write: {', '.join(FORMATS)}.")],
+    out: Annotated[Path, outputs.file_option(f"Picture to write: {', '.join(FORMATS)}.", FORMATS, "plots")],
     typed: MachineInUnits,
     pose: Request | None = None,
     legs: Readings = None,
     branch: Branches = None,
     every: Annotated[bool, Option("--all", help="All real branches, side by side.")] = False,
     view: Annotated[
-        tuple[float, float],
-        Option(metavar="AZIMUTH ELEVATION", help="Direction of the view, in degrees."),
+        tuple[float, float], Option(metavar="AZIMUTH ELEVATION", help="Direction of the view, in degrees.")
     ] = (15.0, 25.0),
     width: Annotated[int | None, Option(help="Width of the picture in pixels.")] = None,
-    names: Annotated[
-        bool | None,
-        Option("--names/--no-names", help="Names of joints, legs and axes; default: for a single branch."),
-    ] = None,
 ) -> None:
     """Draw the machine: the physical branch of a pose, named branches, or all of them.
 
@@ -55,22 +50,22 @@ def draw(
     solutions, default = _requested(typed, pose, legs)
     direction = math.radians(view[0]), math.radians(view[1])
     named = branch is not None
-    labels = requests.selected_labels(solutions, branch, required=named) if every or named else []
-    states = {"": solutions[labels[0]] if labels else default}
-    if len(labels) > 1:
-        states = titled_branches(solutions, labels)
-        save_gallery(states, out, view=direction, labels=bool(names), width=width or 1600)
+    labels = selected_labels(solutions, branch, required=named) if every or named else []
+    states = titled_branches(solutions, labels) if labels else {"": default}
+    if len(states) > 1:
+        save_gallery(states, out, view=direction, labels=False, width=width or 1600)
     else:
         width = width or 1000
-        names = width >= NARROWEST[True] if names is None else names
-        save_picture(states[""], out, view=direction, labels=names, width=width)
+        save_picture(next(iter(states.values())), out, view=direction, labels=width >= NARROWEST[True], width=width)
     outputs.note(f"wrote {out}")
-    beyond = []
-    for title, state in states.items():
-        if legs_beyond := ", ".join(typed.names[leg] for leg in np.flatnonzero(state.limit_excess)):
-            beyond.append(f"{title}: {legs_beyond}" if title else legs_beyond)
-    if beyond:
-        outputs.note(f"legs beyond their limits: {'; '.join(beyond)}", "yellow")
+    beyond = {title: np.flatnonzero(state.limit_excess) for title, state in states.items()}
+    texts = [
+        f"{title}: " * bool(title) + ", ".join(typed.names[leg] for leg in legs)
+        for title, legs in beyond.items()
+        if legs.size
+    ]
+    if texts:
+        outputs.note(f"legs beyond their limits: {'; '.join(texts)}", "yellow")
 
 
 def titled_branches(solutions: Any, labels: list[str]) -> dict[str, Configuration]:
@@ -89,18 +84,15 @@ def _requested(typed: MachineInUnits, pose: Request | None, legs: Any) -> tuple[
     if pose is None and legs is None:
         state = kind.start(machine)
         return kind.of_state(state, typed).solve(), state
-    solutions, remarks = requests.solve_request(typed, pose, legs)
+    solutions, remarks = solve_request(typed, pose, legs)
     state = solutions.physical()
-    is_missing = not (state.exists if machine.is_stage else solutions.count)
-    if is_missing and legs is not None:
-        raise ArgumentError(
-            "--legs", "readings with which the machine can be assembled", "readings of no state", " ".join(remarks)
-        )
-    if is_missing and pose is not None:
-        if solutions.status is Status.UNREACHABLE or machine.is_stage:
-            reached = pose.nearest()
-            remarks += [] if reached is None else [f"The nearest: {reached[1]}"]
-        raise ArgumentError(kind.named, kind.reached, f"status {solutions.status}", " ".join(remarks))
+    if not (state.exists if machine.is_stage else solutions.count):
+        option, expected = "--legs", "readings with which the machine can be assembled"
+        if pose is not None:
+            option, expected = kind.named, kind.reached
+            if (solutions.status is Status.UNREACHABLE or machine.is_stage) and (reached := pose.nearest()):
+                remarks.append(f"The nearest: {kind.options_of(reached[0], typed)}")
+        raise ArgumentError(option, expected, f"status {solutions.status}", " ".join(remarks))
     if not state.exists:
         outputs.note("no branch of this pose is physical", "yellow")
         state = solutions.configurations[int(solutions.exists.argmax())]
@@ -111,19 +103,15 @@ def view(
     typed: MachineInUnits,
     pose: Request | None = None,
     legs: Readings = None,
-    branch: Annotated[
-        str | None, Option(metavar="LABEL", help="Branch to begin with, such as TT+."), OF_MANIPULATOR
-    ] = None,
-    path: Annotated[
-        Path | None, Option(metavar="FILE", help="A recorded path to play, a CSV file."), OF_MANIPULATOR
+    branch: Annotated[str | None, Option(metavar="LABEL", help="Branch, such as TT+."), OF_MANIPULATOR] = None,
+    recording: Annotated[
+        Path | None, Option("--path", metavar="FILE", help="A recorded path to play, a CSV file."), OF_MANIPULATOR
     ] = None,
     host: Annotated[str, Option(help="Address to listen at; only this machine reaches the default.")] = "127.0.0.1",
     port: Annotated[int, Option(help="First port to try; 0 lets the system choose.")] = 8080,
     demo: Annotated[
-        bool | None,
-        Option("--demo/--no-demo", help="Move until touched; default: if no pose is given."),
-        OF_MANIPULATOR,
-    ] = None,
+        bool, Option("--demo/--no-demo", help="Move until touched, without a pose."), OF_MANIPULATOR
+    ] = True,
     dark: Annotated[bool, Option("--dark", help="Begin with a dark page.")] = False,
     browser: Annotated[bool, Option("--open/--no-open", help="Open the page in a browser.")] = True,
 ) -> None:
@@ -134,24 +122,26 @@ def view(
     Needs the extra "viewer".
     """
     require_extra("viewer")
-    beside = {"--translation": pose, "--legs": legs, "--demo": demo or None, "--branch": branch}
+    beside = {"--translation": pose, "--legs": legs, "--branch": branch}
     given = [option for option, value in beside.items() if value is not None]
-    if path is not None and given:
-        raise outputs.cannot_be_used("--path", ", ".join(given), "The path begins in the physical branch")
-    if path is not None and typed.unit is not LengthUnit.M:
-        raise ArgumentError("--unit", "m beside --path, whose columns are in metres", typed.unit)
-    from spm_pin.display.viewer import Viewer, read_recording
-
-    recording = read_recording(path) if path is not None else None
+    played = None
     if recording is not None:
-        recording.check_unit(typed.machine)
+        if given:
+            raise outputs.cannot_be_used("--path", ", ".join(given), "The path begins in the physical branch")
+        if typed.unit is not LengthUnit.M:
+            raise ArgumentError("--unit", "m beside --path, whose columns are in metres", typed.unit)
+        from spm_pin.display.viewer import read_recording
+
+        played = read_recording(recording)
+        played.check_unit(typed.machine)
+    from spm_pin.display.viewer import Viewer
+
     solutions, start = _requested(typed, pose, legs)
     if branch is not None:
-        (label,) = requests.selected_labels(solutions, [branch], required=True)
+        (label,) = selected_labels(solutions, [branch], required=True)
         start = solutions[label]
-    if demo is None:
-        demo = not given and path is None
-    page: dict[str, Any] = {"recording": recording, "machine_file": typed.file, "demo": demo, "dark": dark}
+    demo = demo and not given and played is None
+    page: dict[str, Any] = {"recording": played, "machine_file": typed.file, "demo": demo, "dark": dark}
     with outputs.progress_bar() as bar:
         viewer = Viewer(start, host=host, port=port, progress=bar, **page)
     with viewer:

@@ -1,9 +1,9 @@
-"""`spm-pin export` and `urdf`: a machine in the format of another engine, or its kinematics in C; `write`: its file."""
+"""`spm-pin export`: a machine in the format of another engine, or its kinematics in C; `write`: its file."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 from typer import Argument, Option
 
@@ -11,50 +11,42 @@ from spm_pin import description
 from spm_pin.cli import outputs
 from spm_pin.cli.options import Masses_, Prefix, read_masses
 from spm_pin.cli.units import MachineInUnits
-from spm_pin.description.masses import Masses
 from spm_pin.errors import ArgumentError
 from spm_pin.machine import Machine
 
 Format = Literal["urdf", "mjcf", "sdf", "extended-urdf", "srdf", "c", "c-stage", "linuxcnc", "ros", "ros2"]
-_OWN_OPTIONS: dict[str, set[str]] = {
-    "urdf": {"ros_constraints", "masses", "prefix"},
-    "mjcf": {"collisions", "actuators", "ball", "masses", "prefix"},
-    "sdf": {"loops", "masses", "prefix"},
-    "extended-urdf": {"prefix"},
-    "srdf": {"prefix"},
-    "c": {"masses", "prefix"},
-    "ros": {"masses", "prefix"},
-    "c-stage": {"prefix"},
-    "linuxcnc": set(),
+_MODELS: dict[str, Any] = {
+    "urdf": description.urdf_text,
+    "mjcf": description.mjcf_text,
+    "sdf": description.sdf_text,
+    "extended-urdf": description.extended_urdf_text,
+    "srdf": description.srdf_text,
 }
-"""Options of some formats only, by format."""
+"""Functions that write models, which take the options of their own."""
+_WITH_BODIES = "urdf", "mjcf", "sdf", "c", "ros"
+_OWN = {
+    "urdf": ("ros_constraints",),
+    "mjcf": ("collisions", "actuators", "ball"),
+    "sdf": ("loops",),
+}
+"""Options of one format only."""
 
 
 def export(
     typed: MachineInUnits,
-    format_: Annotated[Format | None, Argument(metavar="[FORMAT]", help="What to write.")] = None,
-    option: Annotated[Format | None, Option("--format", help="The same, as an option.")] = None,
-    out: Annotated[
-        Path | None,
-        Option(metavar="FILE", parser=outputs.file_name, help="File or folder to write; default: standard output."),
-    ] = None,
+    format_: Annotated[Format, Argument(metavar="FORMAT", help="What to write.")],
+    out: Annotated[Path | None, Option(metavar="FILE", help="File or folder; default: standard output.")] = None,
     prefix: Prefix = None,
     masses: Masses_ = None,
-    ros_constraints: Annotated[
-        bool, Option("--ros-constraints", help="urdf: add the <constraint> elements proposed for ROS.")
-    ] = False,
+    ros_constraints: Annotated[bool, Option("--ros-constraints", help="urdf: <constraint> elements for ROS.")] = False,
     collisions: Annotated[
-        Literal["exact", "simple", "none"] | None,
-        Option(help="mjcf: shapes that collide; simple has no cylinders, which MJX does not support with boxes."),
+        Literal["exact", "simple", "none"] | None, Option(help="mjcf: shapes that collide; simple for MJX.")
     ] = None,
     actuators: Annotated[
-        Literal["motors", "servos"] | None,
-        Option(help="mjcf: motors, the default for a robot, or servos, the default for a stage."),
+        Literal["motors", "servos"] | None, Option(help="mjcf: default: motors of a robot, servos of a stage.")
     ] = None,
     ball: Annotated[bool, Option("--ball", help="mjcf: a ball on the platform of a stage.")] = False,
-    loops: Annotated[
-        Literal["joints", "drake"] | None, Option(help="sdf: close loops by joints, or by Drake's elements.")
-    ] = None,
+    loops: Annotated[Literal["joints", "drake"] | None, Option(help="sdf: joints, or Drake's elements.")] = None,
 ) -> None:
     """Write the machine with closed loops in the format of another engine, or its kinematics in C.
 
@@ -62,7 +54,8 @@ def export(
 
     Example: spm-pin stage export c-stage --base 80 --platform 90 --crank 50 --rod 110 --unit mm --out board
 
-    urdf: Drake, Pinocchio, yourdfpy, PyBullet, ROS. mjcf: MuJoCo, Drake, Pinocchio. sdf: SDFormat. extended-urdf: the
+    urdf: an open tree of joints, for a nominal machine assembled at zero, its loops closed by Drake's tags, which
+    Pinocchio, yourdfpy, PyBullet and ROS ignore. mjcf: MuJoCo, Drake, Pinocchio. sdf: SDFormat. extended-urdf: the
     YAML file with the closures of a URDF. srdf: groups and passive joints. With --out, the meshes are copied beside the
     file, into a folder `meshes`. Files are in metres and radians.
 
@@ -72,27 +65,24 @@ def export(
     a stage follows the height and the normal of its poses.
     c-stage: one header in C99 for a microcontroller, for a stage, such as a ball balancer.
     """
-    if (format_ is None) == (option is None):
-        received = "none" if format_ is None else "two"
-        raise ArgumentError("FORMAT", f"one of {', '.join(get_args(Format))}", received)
-    chosen = str(format_ or option).replace("ros2", "ros")
-    special: dict[str, Any] = {"ros_constraints": ros_constraints, "collisions": collisions}
-    special |= {"loops": loops, "actuators": actuators, "ball": description.Ball() if ball else None}
-    own, machine = _OWN_OPTIONS[chosen], typed.machine
-    for name, value in (special | {"masses": masses, "prefix": prefix}).items():
-        if value and name not in own:
-            raise outputs.cannot_be_used(f"--{name.replace('_', '-')}", f"--format {chosen}")
-    is_stage = machine.is_stage
-    if chosen in ("c", "c-stage") and is_stage != (chosen == "c-stage"):
+    chosen, machine = format_.replace("ros2", "ros"), typed.machine
+    special: dict[str, Any] = {"ros_constraints": ros_constraints, "collisions": collisions, "actuators": actuators}
+    special |= {"ball": description.Ball() if ball else None, "loops": loops}
+    typed_too = [name for name, value in special.items() if value and name not in _OWN.get(chosen, ())]
+    typed_too += ["masses"] * (masses is not None and chosen not in _WITH_BODIES)
+    typed_too += ["prefix"] * (prefix is not None and chosen == "linuxcnc")
+    if typed_too:
+        raise outputs.cannot_be_used(f"--{typed_too[0].replace('_', '-')}", chosen)
+    if chosen in ("c", "c-stage") and machine.is_stage != (chosen == "c-stage"):
         kinds = ("a manipulator", "a stage: its file, or --base, --platform and so on")
-        received = "a stage" if is_stage else "a manipulator" if typed.given else "none"
-        cause = "For a stage see the format c-stage" if chosen == "c" else ""
-        raise ArgumentError("--machine", f"{kinds[chosen == 'c-stage']}, for --format {chosen}", received, cause)
-    bodies = read_masses(masses, "written") if "masses" in own else None
-    if chosen not in ("c", "c-stage", "linuxcnc", "ros"):
+        received = "a stage" if machine.is_stage else "a manipulator" if typed.given else "none"
+        raise ArgumentError("--machine", f"{kinds[chosen == 'c-stage']}, for {chosen}", received)
+    bodies: dict[str, Any] = {"masses": read_masses(masses, "written")} if chosen in _WITH_BODIES else {}
+    named: dict[str, Any] = {} if prefix is None else {"prefix": prefix}
+    if chosen in _MODELS:
         if out is not None:
             outputs.check_output(out)
-        _write_model(chosen, out, machine, bodies, prefix or "", {name: special[name] for name in own & special.keys()})
+        _write_model(chosen, out, machine, **named, **bodies, **{name: special[name] for name in _OWN.get(chosen, ())})
         return
     if out is None:
         raise ArgumentError("--out", "the directory to write into", "none")
@@ -100,18 +90,13 @@ def export(
 
     if chosen == "linuxcnc":
         exporters.write_linuxcnc(machine, out)
-        outputs.note(f"wrote a configuration of LinuxCNC into {out}")
     elif chosen == "ros":
-        exporters.write_ros(machine, out, prefix=prefix or "", masses=bodies)
-        outputs.note(f"wrote a ROS 2 package into {out}")
+        exporters.write_ros(machine, out, **named, **bodies)
+    elif chosen == "c":
+        exporters.write_c(machine, out, **named, **bodies)
     else:
-        named = {} if prefix is None else {"prefix": prefix}
-        if is_stage:
-            paths = exporters.write_stage_c(machine, out, **named)
-        else:
-            paths = exporters.write_c(machine, out, masses=bodies, **named)
-        for path in paths:
-            outputs.note(f"wrote {path}")
+        exporters.write_stage_c(machine, out, **named)
+    outputs.note(f"wrote {chosen} into {out}")
 
 
 def write(
@@ -128,35 +113,12 @@ def write(
     outputs.note(f"wrote {out}{header * typed.machine.is_stage}")
 
 
-def urdf(
-    typed: MachineInUnits,
-    out: Annotated[Path | None, outputs.file_option("File to write; default: standard output.")] = None,
-    prefix: Prefix = None,
-    masses: Masses_ = None,
-) -> None:
-    """Write the URDF: an open tree of joints, its loops closed by Drake's tags.
-
-    Other loaders ignore those tags; `spm-pin export` writes closed robots for them. The tree of a nominal machine
-    is assembled at zero. With --out, the meshes are copied beside the file, into a folder `meshes`, and named relative
-    to it; Pinocchio finds them with package_dirs=".", the file's folder. A URDF on standard output names them by
-    absolute paths.
-    """
-    _write_model("urdf", out, typed.machine, read_masses(masses, "written"), prefix or "", {})
-
-
-def _write_model(
-    chosen: str, path: Path | None, machine: Machine, masses: Masses | None, prefix: str, special: dict[str, Any]
-) -> None:
-    """Write a model; its meshes are copied into a folder beside its file."""
-    without_meshes: dict[str, Any] = {"srdf": description.srdf_text, "extended-urdf": description.extended_urdf_text}
-    if chosen in without_meshes:
-        outputs.write_text(without_meshes[chosen](machine=machine, prefix=prefix), path)
-        return
-    write: Any = {"urdf": description.urdf_text, "mjcf": description.mjcf_text, "sdf": description.sdf_text}[chosen]
-    # Meshes go beside a file; on standard output they have absolute paths.
-    meshes = "meshes" if path is not None else None
-    text = write(machine, prefix=prefix, meshes=meshes, masses=masses, **special)
-    if path is not None:
+def _write_model(chosen: str, path: Path | None, machine: Machine, **options: Any) -> None:
+    """Write a model; its meshes are copied into a folder beside its file, named by absolute paths on stdout."""
+    if chosen in ("urdf", "mjcf", "sdf"):
+        options["meshes"] = None if path is None else "meshes"
+    text = _MODELS[chosen](machine=machine, **options)
+    if path is not None and "meshes" in options:
         description.source_files.copy_meshes(path.parent)
     outputs.write_text(text, path)
     if path is not None and path.suffix == ".urdf":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,7 +10,7 @@ import typer
 from typer import Option
 
 from spm_pin.cli import outputs
-from spm_pin.cli.options import OF_MANIPULATOR, Legs, LegsOption, Masses_, leg_numbers, read_masses
+from spm_pin.cli.options import OF_MANIPULATOR, Legs, Masses_, Picture, leg_numbers, read_masses
 from spm_pin.cli.outputs import Report, Table
 from spm_pin.cli.requests import Request
 from spm_pin.cli.units import MachineInUnits
@@ -33,16 +32,10 @@ _Ends = tuple[float, float] | None
 def certify(
     typed: MachineInUnits,
     boxes: Annotated[int, Option(min=1, help="Maximum number of boxes in each stage.")] = 300_000,
-    length_error: Annotated[
-        float, Option(help="Errors of pivots, balls and readings to prove it for, in --unit.")
-    ] = 0.0,
-    angle_error: Annotated[float, Option(help="Errors of the revolute axes to prove it for, in radians.")] = 0.0,
-    inverse: Annotated[
-        bool,
-        Option("--inverse", help="Also inverse singularities: a bound of |det K|, or a singular state."),
-        OF_MANIPULATOR,
-    ] = False,
-    out: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) of the boxes to write.")] = None,
+    length_error: Annotated[float, Option(help="Errors of pivots, balls and readings, in --unit.")] = 0.0,
+    angle_error: Annotated[float, Option(help="Errors of the revolute axes, in radians.")] = 0.0,
+    inverse: Annotated[bool, Option("--inverse", help="Also inverse singularities."), OF_MANIPULATOR] = False,
+    out: Picture = None,
 ) -> Report:
     """Prove that no forward singularity is within the leg limits, so that readings determine the configuration.
 
@@ -94,43 +87,41 @@ def _content(certificate: Certificate, other: InverseCertificate | None) -> dict
     return content
 
 
-def _largest(help_text: str) -> Any:
+def _largest(option: str, help_text: str) -> Any:
     """Return an option for an upper limit: one number, or one for each leg, separated by commas."""
-    return Option(metavar="X", help=f"Largest {help_text}")
+    return Option(option, metavar="X", help=f"Largest {help_text}")
 
 
 def _range(help_text: str) -> Any:
-    return Option(metavar="MIN MAX", help=help_text)
+    return Option(metavar="MIN MAX", help=f"Angles of {help_text}, in degrees.")
 
 
 def move(
     typed: MachineInUnits,
-    start: Annotated[Legs | None, LegsOption(("--from",), "Readings at the start")] = None,
-    goal: Annotated[Legs | None, LegsOption(("--to",), "Readings at the end")] = None,
+    start: Annotated[Legs | None, "Readings at the start", "--from"] = None,
+    goal: Annotated[Legs | None, "Readings at the end", "--to"] = None,
     start_pose: Annotated[Request | None, "from-"] = None,
     goal_pose: Annotated[Request | None, "to-"] = None,
     via: Annotated[
         list[str] | None,
-        Option(metavar="READINGS", help="Readings to pass on the way, separated by commas; may be repeated, in order."),
+        Option(metavar="READINGS", help="Readings to pass, separated by commas; repeatable, in order."),
     ] = None,
-    leg_rate: Annotated[str | None, _largest("speed of a leg \\[m/s], for cranks \\[rad/s].")] = None,
-    leg_acceleration: Annotated[str | None, _largest("acceleration of a leg \\[m/s²], for cranks \\[rad/s²].")] = None,
-    leg_force: Annotated[str | None, _largest("force of a leg, pushing or pulling \\[N], for cranks \\[N m].")] = None,
-    leg_jerk: Annotated[
-        str | None, _largest("jerk of a leg \\[m/s³], for cranks \\[rad/s³]: forces without jumps, slower.")
-    ] = None,
+    leg_rates: Annotated[str | None, _largest("--leg-rate", "speed of a leg \\[m/s or rad/s].")] = None,
+    leg_accelerations: Annotated[str | None, _largest("--leg-acceleration", "acceleration \\[m/s² or rad/s²].")] = None,
+    leg_forces: Annotated[str | None, _largest("--leg-force", "force, pushing or pulling \\[N or N m].")] = None,
+    leg_jerks: Annotated[str | None, _largest("--leg-jerk", "jerk \\[m/s³ or rad/s³]: no jumps of forces.")] = None,
     twist: Annotated[_Ends, Option(metavar="V OMEGA", help="Speed limits of o \\[m/s] and turning \\[rad/s].")] = None,
-    payload: Annotated[float, Option(help="Mass on the platform, at o \\[kg].")] = 0.0,
-    hip: Annotated[_Ends, _range("Angles of the passive revolute joints, from home, in degrees.")] = None,
-    ball_x: Annotated[_Ends, _range("Angles of the ball joints about the legs' revolute axes, in degrees.")] = None,
-    ball_y: Annotated[_Ends, _range("Angles of the ball joints about their middle axes, in degrees.")] = None,
-    ball_z: Annotated[_Ends, _range("Angles of the ball joints about the platform's normal, in degrees.")] = None,
+    mass: Annotated[float, Option("--payload", help="Mass on the platform, at o \\[kg].")] = 0.0,
+    hip: Annotated[_Ends, _range("the passive revolute joints, from home")] = None,
+    ball_x: Annotated[_Ends, _range("the ball joints about the legs' revolute axes")] = None,
+    ball_y: Annotated[_Ends, _range("the ball joints about their middle axes")] = None,
+    ball_z: Annotated[_Ends, _range("the ball joints about the platform's normal")] = None,
     clearance: Annotated[float | None, Option(help="Least distance of legs without a common joint, in --unit.")] = None,
     margin: Annotated[float, Option(help="Smallest |det J| of a stage over d³ on the way.")] = 0.05,
     straight: Annotated[bool, Option("--straight", help="Move o along a straight line only.")] = False,
     period: Annotated[float, Option(help="Time between the rows \\[s].")] = 2e-3,
     out: Annotated[Path | None, outputs.file_option("CSV of the motion to write.", (".csv",))] = None,
-    plot: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) to write.")] = None,
+    plot: Picture = None,
     masses: Masses_ = None,
 ) -> Report:
     """Plan the fastest motion from one state to another, at rest at both ends.
@@ -152,12 +143,13 @@ def move(
     machine, count = typed.machine, len(typed.names)
     first, last = (_end_state(*end) for end in ((start, start_pose, "--from"), (goal, goal_pose, "--to")))
     pairs = {"hip": hip, "ball_x": ball_x, "ball_y": ball_y, "ball_z": ball_z}
-    angles = {name: (math.radians(pair[0]), math.radians(pair[1])) for name, pair in pairs.items() if pair is not None}
+    angles: dict[str, Any] = {name: np.radians(pair) for name, pair in pairs.items() if pair is not None}
     joint_limits = JointLimits(**angles, clearance=None if clearance is None else clearance / typed.unit.per_metre)
     passed = [typed.read("--via", leg_numbers(text, "--via", count)) for text in via or ()]
-    allowed = {"rate": leg_rate, "acceleration": leg_acceleration, "force": leg_force, "jerk": leg_jerk}
+    allowed = {"leg_rates": leg_rates, "leg_accelerations": leg_accelerations}
+    allowed |= {"leg_forces": leg_forces, "leg_jerks": leg_jerks}
     largest: dict[str, Any] = {
-        f"leg_{name}s": leg_numbers(text, f"--leg-{name}", count, single=True)
+        name: leg_numbers(text, f"--{name.replace('_', '-')[:-1]}", count, single=True)
         for name, text in allowed.items()
         if text is not None
     }
@@ -177,7 +169,7 @@ def move(
         outputs.note(f"no path: {planned.reason}")
         raise typer.Exit(3)
     chain = ClosedChain.from_urdf(machine=machine, masses=read_masses(masses, "forces"))
-    load = Payload(payload) if payload else None
+    load = Payload(mass) if mass else None
     motion = time_optimal(chain, planned, **largest, payload=load, twist=twist, period=period)
     if out is not None:
         motion.to_csv(out)
@@ -190,9 +182,8 @@ def move(
 def _end_state(readings: Any, pose: Request | None, option: str) -> Any:
     """Return the state at one end of the motion as an argument of `plan`: readings in SI, or the state of a pose."""
     if (readings is None) == (pose is None):
-        received = "neither" if pose is None else "both"
-        needed = "-translation and an orientation"
-        raise ArgumentError(option, f"either readings, or a pose by {option}{needed}", received)
+        expected = f"either readings, or a pose by {option}-translation and an orientation"
+        raise ArgumentError(option, expected, "neither" if pose is None else "both")
     if pose is None:
         return readings
     state = pose.physical()

@@ -2,6 +2,7 @@
 
 A parameter `typed: MachineInUnits` of such a function becomes the options of a machine, in a file or by numbers, one of
 the type `Request` those of a pose, or for `spm-pin stage` of a height and a tilt, and `Legs` six numbers, or three.
+Parameters have the names of the library's arguments, so that errors about these name the options.
 """
 
 from __future__ import annotations
@@ -11,20 +12,21 @@ import inspect
 import math
 import warnings
 from collections.abc import Callable, Collection, Iterator
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, get_args, get_type_hints
 
 import numpy as np
-import typer
+from typer import Option
 from typer.models import ArgumentInfo
 
-from spm_pin.cli.outputs import Report, cannot_be_used, note
+from spm_pin.cli.outputs import Report, cannot_be_used, file_option, note
 from spm_pin.cli.requests import OptionTable, Record, Request, TiltRequest
 from spm_pin.cli.units import LengthUnit, MachineInUnits
 from spm_pin.description.masses import Masses
+from spm_pin.display.writing import FORMATS
 from spm_pin.errors import ArgumentError, GeometryError
-from spm_pin.machine import LEGS, PRS, RPS, RRS, STAGE_LEGS, LegKind, Manipulator, Stage
+from spm_pin.machine import LEGS, PRS, RPS, RRS, STAGE_LEGS, Manipulator, Stage
 from spm_pin.machine.manipulator import machine_from_yaml
 from spm_pin.support.arguments import FloatArray
 
@@ -33,79 +35,50 @@ OF_MANIPULATOR = "of a manipulator"
 
 
 class Legs(np.ndarray[Any, np.dtype[np.float64]]):
-    """Annotation of readings of all legs, which a command gets as an array in [m, rad]."""
+    """Annotation of readings of all legs, which a command gets as an array in [m, rad]; then help and names follow."""
 
 
-class LegsOption(NamedTuple):
-    """Names of an option for the readings of all legs, and what these are."""
-
-    names: tuple[str, ...]
-    what: str
-
-
-LEGS_NAMES = "--legs", "--readings"
-Readings = Annotated[Legs | None, LegsOption(LEGS_NAMES, "Readings of the legs instead of a pose,")]
+Readings = Annotated[Legs | None, "Readings of the legs instead of a pose,", "--legs", "--readings"]
 Masses_ = Annotated[
-    Path | None,
-    typer.Option("--masses", metavar="FILE", help="YAML file of masses and payload; default: assumed masses."),
+    Path | None, Option("--masses", metavar="FILE", help="YAML file of masses and payload; default: assumed masses.")
 ]
-Prefix = Annotated[str | None, typer.Option("--prefix", help="Prefix of all names, such as left_.")]
-Branches = Annotated[
-    list[str] | None, typer.Option("--branch", metavar="LABEL", help="Branch, such as TT+; may be repeated.")
-]
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
+Prefix = Annotated[str | None, Option("--prefix", help="Prefix of all names, such as left_.")]
+Branches = Annotated[list[str] | None, Option("--branch", metavar="LABEL", help="Branch, such as TT+; repeatable.")]
+Seed = Annotated[int, Option("--seed", min=0, help="Seed of the random numbers.")]
+Workers = Annotated[int | None, Option(min=1, help="Processes; default: one per processor, for design 1.")]
+Scheduler = Annotated[str | None, Option(metavar="ADDRESS", help="Dask scheduler: tcp://head:8786.")]
+Picture = Annotated[Path | None, file_option(f"Picture to write: {', '.join(FORMATS)}.", FORMATS, "plots")]
+MachineFile = Annotated[Path | None, file_option("YAML file of the machine to write.", (".yaml", ".yml"))]
+AsJson = Annotated[bool, Option("--json", help="Print JSON instead of a table.")]
 
 _MACHINE: OptionTable = {
-    "machine": (Path, "FILE", "YAML file of a machine"),
+    "machine": (Path, "FILE", "YAML file of a machine, in place of the dimensions"),
     "base": (float, "RADIUS", "Distance from the centre of the base to the pivots, in --unit."),
     "platform": (float, "RADIUS", "Distance from the centre of the platform to its joints, in --unit."),
     "middle": (float, "LENGTH", "Side of the middle platform's triangle of balls, in --unit; without: a stage."),
     "crank": (float, "LENGTH", "Length of the servos' cranks, in --unit; with --rod: RRS legs."),
-    "rod": (
-        float,
-        "LENGTH",
-        "Distance from knee or carriage to ball, in --unit; alone: PRS legs, without: RPS. Unequal rods: in a file.",
-    ),
+    "rod": (float, "LENGTH", "Distance from knee or carriage to ball, in --unit; alone: PRS legs, without: RPS."),
     "slide": (float, "DEGREES", "Direction of the slides of PRS legs: 0 outwards, 90 upwards (default)."),
     "sign": (int, "±1", "Working mode: -1, knees outside and carriages below (default), or 1."),
     "limits": (
         tuple[str, str],
         "MIN MAX",
-        "Limits of the readings, each one number or one per leg, separated by commas: in --unit, for cranks in "
-        "degrees; default: those of the file.",
+        "Limits of the readings, a number or one per leg with commas; in degrees for cranks.",
     ),
 }
 _MACHINE_NAMES = "--machine", "--stage", "--geometry"
-_SIZES = {"base": "base_radius", "platform": "platform_radius", "middle": "middle_side"}
-ARGUMENT_OPTIONS: dict[str, tuple[str, ...]] = {
-    **dict.fromkeys(("minimum", "maximum"), ("--limits",)),
-    **dict.fromkeys(("readings", "leg_lengths", *LEGS, *STAGE_LEGS), ("--legs",)),
-    **dict.fromkeys(("alpha", "beta", "lambda_"), ("--xyx",)),
-    **{f"leg_{name}s": (f"--leg-{name}",) for name in ("rate", "acceleration", "force", "jerk")},
-    **{name: (f"--{name}",) for name in TiltRequest.options},
-    "leg_forces, leg_accelerations": ("--leg-force, --leg-acceleration",),
-    "start": ("--from-translation", "--from"),
-    "goal": ("--to-translation", "--to"),
-    "wrench": ("--force, --moment",),
-    "twist": ("--velocity, --angular-velocity",),
-    "aims": ("--maximise, --minimise",),
-    "count": ("--samples",),
-    "directory": ("--out",),
-    "heights": ("--height",),
-    "mass": ("--payload",),
-    "methods": ("--method",),
-    "metrics": ("--metric",),
-    "parameters": ("--identify",),
-    "points": ("--path",),
-    "push": ("--leg-force",),
-    "recording": ("--path",),
-    "rng": ("--seed",),
-    "store": ("--out",),
-    "tables": ("--table",),
-    "tolerances": ("--tolerance",),
+_ARGUMENTS = {"base": "base_radius", "platform": "platform_radius", "middle": "middle_side", "slide": "direction"}
+"""Arguments of machines and legs, where they have other names than the options."""
+ARGUMENT_OPTIONS: dict[str, str] = {
+    **dict.fromkeys(("readings", "leg_lengths", *LEGS, *STAGE_LEGS), "--legs"),
+    **dict.fromkeys(("alpha", "beta", "lambda_"), "--xyx"),
+    "wrench": "--force, --moment",
+    "twist": "--velocity, --angular-velocity",
+    "aims": "--maximise, --minimise",
+    "directory": "--out",
+    "points": "--path",
 }
-"""Options by the arguments of functions, if they are named otherwise: of several the first that was typed, or the last.
-"""
+"""Options of arguments that are no parameters of a command of the same name."""
 
 
 def make_command(function: Callable[..., Report | None], *, of_stage: bool) -> Callable[..., None]:
@@ -130,7 +103,7 @@ def make_command(function: Callable[..., Report | None], *, of_stage: bool) -> C
         elif Request in kinds:
             group = _request_group(TiltRequest if of_stage else Request, *extra, is_optional=is_optional)
         elif Legs in kinds:
-            group = _legs_group(parameter.name, extra[0], of_stage, is_optional=is_optional)
+            group = _legs_group(parameter.name, *extra, of_stage=of_stage, is_optional=is_optional)
         if group is None:
             parameters.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
         else:
@@ -191,11 +164,10 @@ def _machine_group(of_stage: bool, taken: Collection[str]) -> _Group:
             continue
         options = _MACHINE_NAMES if name == "machine" else (f"--{name}",)
         if name == "machine":
-            text += f"{', in place of the following dimensions' * ('base' not in left_out)}"
             text += "." if of_stage else "; default: the paper's."
-        option = typer.Option(*options, metavar=metavar, help=text, rich_help_panel="Machine")
+        option = Option(*options, metavar=metavar, help=text, rich_help_panel="Machine")
         parameters.append(_option(name, kind, option))
-    unit = typer.Option(help="Unit of lengths, typed and printed, if no other is named.", rich_help_panel="Machine")
+    unit = Option(help="Unit of lengths, typed and printed, if no other is named.", rich_help_panel="Machine")
     parameters.append(_option("unit", LengthUnit, unit, default=LengthUnit.M))
     return _Group(parameters, lambda given, _: _read_machine(given, of_stage))
 
@@ -204,28 +176,28 @@ def _request_group(request: type[Request], prefix: str = "", *, is_optional: boo
     """Return the options of a pose, or of a height and a tilt."""
     parameters = []
     for name, (kind, metavar, text) in request.options.items():
-        option = typer.Option(f"--{prefix}{name}", metavar=metavar, help=text, rich_help_panel="Pose")
+        option = Option(f"--{prefix}{name}", metavar=metavar, help=text, rich_help_panel="Pose")
         is_required = name == request.needed and not is_optional
         parameters.append(_option(f"{prefix}{name}", kind, option, is_required=is_required))
 
     def read(given: Record, typed: MachineInUnits) -> Request | None:
         if is_optional and all(value is None for value in given.values()):
             return None
-        values = {name.removeprefix(prefix.replace("-", "_")): value for name, value in given.items()}
-        return request.read(values, typed, prefix)
+        values = dict(zip(request.options, given.values(), strict=True))
+        return request.read({name: value for name, value in values.items() if value is not None}, typed, prefix)
 
     return _Group(parameters, read)
 
 
-def _legs_group(name: str, option: LegsOption, of_stage: bool, *, is_optional: bool) -> _Group:
+def _legs_group(name: str, what: str, *names: str, of_stage: bool, is_optional: bool) -> _Group:
     """Return the option of six readings, or of three."""
     count, metavar = (3, "R1 R2 R3") if of_stage else (6, "B1 B2 B3 C1 C2 C3")
-    own = typer.Option(*option.names, metavar=metavar, help=f"{option.what} in --unit, for cranks in degrees.")
+    own = Option(*names, metavar=metavar, help=f"{what} in --unit, for cranks in degrees.")
     parameter = _option(name, tuple[(float,) * count], own, is_required=not is_optional)  # type: ignore[misc]
 
     def read(given: Record, typed: MachineInUnits) -> FloatArray | None:
         (numbers,) = given.values()
-        return None if numbers is None else typed.read(option.names[0], numbers)
+        return None if numbers is None else typed.read(names[0], numbers)
 
     return _Group([parameter], read)
 
@@ -233,69 +205,53 @@ def _legs_group(name: str, option: LegsOption, of_stage: bool, *, is_optional: b
 def _read_machine(given: Record, of_stage: bool) -> MachineInUnits:
     """Return the machine of a file, or of numbers; without either the paper's, and for `spm-pin stage` an error."""
     unit, file, limits = given["unit"], given["machine"], given["limits"]
-    named = {name for name in _MACHINE.keys() & given.keys() if given[name] is not None}
-    numbers = named - {"machine", "limits"}
+    typed = {name: value for name, value in given.items() if value is not None and name != "unit"}
+    numbers = {name: value for name, value in typed.items() if name not in ("machine", "limits")}
     machine: Any
     if file is not None:
         if numbers:
-            beside = ", ".join(f"--{name}" for name in _MACHINE if name in numbers)
-            raise cannot_be_used("--machine", beside, "The file has these dimensions")
+            raise cannot_be_used("--machine", ", ".join(f"--{name}" for name in numbers), "The file has these")
         try:
             with warnings_as_notes("--machine: "):
                 machine = Stage.from_yaml(file) if of_stage else machine_from_yaml(file)
         except GeometryError as error:
             raise _in_file("--machine", error) from error
     elif numbers or of_stage:
-        machine = _machine_of_numbers(given, unit)
+        machine = _machine_of_numbers(numbers, unit)
     else:
         machine = Manipulator.paper()
     if limits is not None:
-        typed, count = MachineInUnits(machine, unit), len(machine.legs.names)
-        ends = [leg_numbers(text, "--limits", count, single=True) for text in limits]
-        machine = replace(machine, limits=typed.read_limits("--limits", *ends))
-    return MachineInUnits(machine, unit, tuple(named), file)
+        ends = [leg_numbers(text, "--limits", len(machine.legs.names), single=True) for text in limits]
+        machine = replace(machine, limits=MachineInUnits(machine, unit).read_limits("--limits", *ends))
+    return MachineInUnits(machine, unit, tuple(typed), file)
 
 
-def _machine_of_numbers(given: Record, unit: LengthUnit) -> Manipulator | Stage:
+def _machine_of_numbers(numbers: Record, unit: LengthUnit) -> Manipulator | Stage:
     """Return the machine of dimensions: a stage, or with --middle a manipulator whose stages have the same legs."""
-    if "base" not in given:
-        raise ArgumentError("--machine", "the file of a machine", "no file", "spm-pin write makes one")
     for name in ("base", "platform"):
-        if given[name] is None:
-            raise ArgumentError(f"--{name}", "a radius, or --machine with a file", "neither")
-    lengths = {
-        name: given[name] and given[name] / unit.per_metre for name in (*_SIZES, "crank", "rod") if name in given
-    }
-    named = {key: f"--{name}" for name, key in _SIZES.items()} | {"legs": "--rod", "direction": "--slide"}
+        if name not in numbers:
+            option = f"--{name}" if numbers else "--machine"
+            raise ArgumentError(option, "a radius, or --machine with a file, which spm-pin write makes", "neither")
+    scaled = {name: x if name in ("slide", "sign") else x / unit.per_metre for name, x in numbers.items()}
+    base, platform, middle = (scaled.pop(name, None) for name in ("base", "platform", "middle"))
+    kind: Any
+    kind, by = (RRS, "--crank") if "crank" in scaled else (PRS, "--rod") if "rod" in scaled else (RPS, "")
+    for name in scaled:
+        if _ARGUMENTS.get(name, name) not in {field.name for field in fields(kind)}:
+            raise cannot_be_used(f"--{name}", by or "legs without --rod")
+    if kind is RRS and "rod" not in scaled:
+        raise ArgumentError("--rod", "the length of the rods together with --crank", "none")
+    if "slide" in scaled:
+        scaled["slide"] = math.radians(scaled["slide"])
     try:
-        kind = _leg_kind(given, lengths)
+        legs = kind(**{_ARGUMENTS.get(name, name): value for name, value in scaled.items()})
         with warnings_as_notes("--unit: "):
-            if lengths.get("middle") is None:
-                return Stage(lengths["base"], lengths["platform"], kind)
-            return Manipulator(lengths["base"], lengths["platform"], lengths["middle"], legs=(kind, kind))
+            if middle is None:
+                return Stage(base, platform, legs)
+            return Manipulator(base, platform, middle, legs=(legs, legs))
     except GeometryError as error:
-        raise error.replaced(argument=named.get(error.argument, f"--{error.argument}")) from error
-
-
-def _leg_kind(given: Record, lengths: Record) -> LegKind:
-    """Return the kind of the legs: RRS with --crank and --rod, PRS with --rod, otherwise RPS."""
-    sign: Record = {} if given["sign"] is None else {"sign": given["sign"]}
-    if lengths["crank"] is not None:
-        if lengths["rod"] is None:
-            raise ArgumentError("--rod", "the length of the rods together with --crank", "none")
-        _check_absent(given, ("slide",), "--crank")
-        return RRS(crank=lengths["crank"], rod=lengths["rod"], **sign)
-    if lengths["rod"] is not None:
-        slide: Record = {} if given["slide"] is None else {"direction": math.radians(given["slide"])}
-        return PRS(rod=lengths["rod"], **slide, **sign)
-    _check_absent(given, ("slide", "sign"), "legs without --rod")
-    return RPS()
-
-
-def _check_absent(given: Record, names: tuple[str, ...], beside: str) -> None:
-    for name in names:
-        if given[name] is not None:
-            raise cannot_be_used(f"--{name}", beside)
+        options = {argument: name for name, argument in _ARGUMENTS.items()} | {"legs": "rod"}
+        raise error.replaced(argument=f"--{options.get(error.argument, error.argument)}") from error
 
 
 def _by_option(error: ArgumentError, names: dict[str, str], values: Record) -> ArgumentError:
@@ -308,14 +264,12 @@ def _by_option(error: ArgumentError, names: dict[str, str], values: Record) -> A
             return error.replaced(argument=names[name])
         if isinstance(path, Path) and error.file == str(path):
             return _in_file(names[name], error)
-    if argument in names:
-        option, value = names[argument], values[argument]
-        return error.replaced(argument=f"{option} {value}" if isinstance(value, Path) else option)
-    options = set(names.values())
-    found = [option for option in ARGUMENT_OPTIONS.get(argument, ()) if set(option.split(", ")) <= options]
-    typed = {names[name] for name, value in values.items() if value is not None}
-    chosen = next((option for option in found if option in typed), found[-1] if found else argument)
-    return error.replaced(argument=chosen)
+    if isinstance(path := values.get(argument), Path):
+        return error.replaced(argument=f"{names[argument]} {path}")
+    options = ARGUMENT_OPTIONS.get(argument, "")
+    if argument in names or not set(options.split(", ")) <= set(names.values()):
+        options = ", ".join(names.get(each, each) for each in argument.split(", "))
+    return error.replaced(argument=options)
 
 
 def _in_file(option: str, error: ArgumentError) -> ArgumentError:
@@ -329,7 +283,7 @@ def _option_name(parameter: inspect.Parameter) -> str:
     """Return what a user types for a parameter of a command: its option, or the argument's name in the help."""
     for info in getattr(parameter.annotation, "__metadata__", ()):
         if isinstance(info, ArgumentInfo):
-            return str(info.metavar or parameter.name.upper())
+            return str(info.metavar)
         # If there are several names, typer takes the first for a default.
         for declared in (getattr(info, "default", None), *(getattr(info, "param_decls", None) or ())):
             if isinstance(declared, str) and declared.startswith("--"):
@@ -354,9 +308,8 @@ def leg_numbers(text: str, option: str, count: int, *, single: bool = False) -> 
     except ValueError:
         numbers = np.empty(0)
     if numbers.size != count and not (single and numbers.size == 1):
-        several = {6: "six", 3: "three"}[count]
-        expected = f"a number, or {several} separated by commas" if single else f"{several} numbers separated by commas"
-        raise ArgumentError(option, expected, repr(text))
+        several = f"{'six' if count == 6 else 'three'} numbers separated by commas"
+        raise ArgumentError(option, f"a number, or {several}" if single else several, repr(text))
     return numbers if numbers.size == count else numbers[0]
 
 

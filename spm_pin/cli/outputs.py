@@ -131,15 +131,8 @@ class Table:
         stdout.print()
 
 
-@dataclass(frozen=True)
-class Sentence:
-    """A sentence of a report in a style of Rich."""
-
-    text: str
-    style: str
-
-
-Part = Table | Sentence | str
+Part = Table | tuple[str, str] | str
+"""A table, a sentence with its style, or sentences."""
 
 
 @dataclass(frozen=True)
@@ -157,8 +150,8 @@ class Report:
         for part in () if json else self.parts:
             if isinstance(part, Table):
                 part.print()
-            elif isinstance(part, Sentence):
-                print_lines([part.text], part.style)
+            elif isinstance(part, tuple):
+                print_lines([part[0]], part[1])
             else:
                 print_lines(part.split("\n"))
         if self.code:
@@ -175,13 +168,6 @@ def significant(value: float, scale: float = 0.0, digits: int = 5) -> str:
     return "0" if abs(value) <= _PRINTED_AS_ZERO * scale else f"{value:.{digits}g}"
 
 
-def file_name(text: str) -> Path:
-    """Read the value of an option that names a file or a directory."""
-    if not text:
-        raise typer.BadParameter("expected a file or a directory, got an empty name")
-    return Path(text)
-
-
 def file_option(help_text: str, endings: Sequence[str] = (), extra: str = "") -> Any:
     """Return an option for a file to write, which `check_output` checks before the work, and the extra it needs."""
 
@@ -192,14 +178,7 @@ def file_option(help_text: str, endings: Sequence[str] = (), extra: str = "") ->
                 require_extra(extra)
         return path
 
-    return typer.Option(metavar="FILE", help=help_text, parser=file_name, callback=check)
-
-
-def picture_option(help_text: str) -> Any:
-    """Return an option for a picture to write, like `file_option`."""
-    from spm_pin.display.writing import FORMATS
-
-    return file_option(help_text, FORMATS, "plots")
+    return typer.Option(metavar="FILE", help=help_text, callback=check)
 
 
 def check_output(path: Path, option: str = "--out", endings: Sequence[str] = (), cause: str = "") -> None:

@@ -10,12 +10,12 @@ from operator import itemgetter
 from typing import Annotated, Any
 
 import numpy as np
-import typer
+from typer import Option
 
 from spm_pin.cli import outputs, requests
-from spm_pin.cli.options import LEGS_NAMES, OF_MANIPULATOR, Branches, Legs, LegsOption, Readings
+from spm_pin.cli.options import OF_MANIPULATOR, Branches, Legs, Readings
 from spm_pin.cli.outputs import Report, Table
-from spm_pin.cli.requests import Record, Request, Triple, request_of
+from spm_pin.cli.requests import Record, Request, Triple
 from spm_pin.cli.units import MachineInUnits
 from spm_pin.display.writing import fixed
 from spm_pin.errors import ArgumentError, SingularConfigurationError, sentence
@@ -33,6 +33,7 @@ _ORIENTATIONS = {
     "quat": ("unit quaternion", ("qx", "qy", "qz", "qw"), 6),
 }
 """Orientations that `forward` prints: meaning, columns, and decimals."""
+_PLURALS = {"branch": "branches", "mode": "modes", "assembly mode": "assembly modes"}
 
 
 def inverse(pose: Request, typed: MachineInUnits) -> Report:
@@ -45,40 +46,20 @@ def inverse(pose: Request, typed: MachineInUnits) -> Report:
     If no physical configuration is within the limits, the nearest pose that is reached is printed. The exit code is 3
     if there is no real configuration, 5 if none is physical and within the leg limits.
     """
-    solutions = pose.solve()
-    labels = requests.selected_labels(solutions, None)
-    records = requests.state_records(solutions, labels, lambda state: _record(state, typed))
-    physical = solutions.physical()
-    code = requests.exit_code(solutions.status, physical)
+    solutions, is_stage = pose.solve(), typed.machine.is_stage
+    records = _records(solutions, requests.selected_labels(solutions, None), lambda state: _record(state, typed))
+    lines, code = _summary(solutions, records, typed, pose.solution, pose.remarks(solutions))
     reached = pose.nearest() if code in (3, 5) else None
-    content = requests.solutions_content(solutions, typed)
-    if not typed.machine.is_stage:
-        content["discriminants"] = solutions.discriminants
-    content |= {"branches": records, "nearest": _nearest_record(reached, typed)}
-    columns: dict[str, Any] = {pose.solution: itemgetter("label"), **typed.columns()}
-    columns |= _parasitic(typed) if typed.machine.is_stage else {}
+    content = {} if is_stage else {"discriminants": solutions.discriminants}
+    content |= {**_content(solutions, typed), "branches": records, "nearest": _nearest_record(reached, pose)}
+    columns = {pose.solution: itemgetter("label"), **typed.columns(), **(_parasitic(typed) if is_stage else {})}
     columns[""] = lambda row: "physical" * row["physical"]
     title = f"Real branches: readings in {typed.heading}"
-    if typed.machine.is_stage and records:
+    if is_stage and records:
         height, tilt, azimuth = (records[0][name] for name in ("height", "tilt", "azimuth"))
         tilted = f"for a tilt of {fixed(tilt, 2)}° towards {fixed(azimuth, 2)}°, and its parasitic motion"
         title = f"Readings in {typed.heading} at {typed.unit.text(height)} {typed.unit} {tilted}"
-    lines = [requests.status_line(solutions, pose.solution, typed), *pose.remarks(solutions)]
-    lines += [*requests.state_remarks(records, physical, pose.solution), *_nearest_lines(reached, typed)]
-    return Report(content, [Table(title, columns, records, left=[""]), *lines], code)
-
-
-def _record(state: Any, typed: MachineInUnits) -> Record:
-    """Return the numbers of a state: its pose, readings and residual."""
-    residual = {"residual": state.closure_residual * typed.unit.per_metre}
-    return {"readings": state.readings * typed.scale, **request_of(typed.machine).content(state, typed), **residual}
-
-
-def _parasitic(typed: MachineInUnits) -> Record:
-    shifts = {
-        f"shift {axis} [{typed.unit}]": lambda row, k=k: typed.unit.text(row["shift"][k]) for k, axis in enumerate("xy")
-    }
-    return {**shifts, "torsion [°]": lambda row: fixed(row["torsion"], 3)}
+    return Report(content, [Table(title, columns, records, left=[""]), *lines, *_nearest_lines(reached, pose)], code)
 
 
 def nearest(pose: Request, typed: MachineInUnits) -> Report:
@@ -93,50 +74,57 @@ def nearest(pose: Request, typed: MachineInUnits) -> Report:
     reach is first replaced by the nearest one.
     """
     reached = pose.nearest()
-    if reached is None:
-        raise ArgumentError(
-            "--machine", "a machine with leg limits", "a machine without limits", "Its file has them as leg_limits"
-        )
-    record = _nearest_record(reached, typed)
-    assert record is not None
-    readings = {
-        name: lambda row, leg=leg: typed.text(row["readings"][leg], leg) for leg, name in enumerate(typed.names)
-    }
-    _, options, distance = reached
-    away = f"{distance:.3f}°" if typed.machine.is_stage else f"{typed.unit.text(distance, 1)} {typed.unit}"
-    lines = [f"distance: {away}", f"pose: {options}", pose.hint()]
-    table = Table(f"Readings in {typed.heading}", readings, [record])
+    record = _nearest_record(reached, pose)
+    if reached is None or record is None:
+        cause = "Its file has them as leg_limits"
+        raise ArgumentError("--machine", "a machine with leg limits", "a machine without limits", cause)
+    columns = typed.columns()
+    lines = [f"distance: {pose.distance_text(reached[1])}", f"pose: {record['options']}", pose.hint()]
+    table = Table(f"Readings in {typed.heading}", columns, [record | {"beyond_limits": []}])
     return Report({**typed.content(), **record}, [table, *filter(None, lines)])
 
 
-def _nearest_record(reached: tuple[Any, str, float] | None, typed: MachineInUnits) -> Record | None:
-    return None if reached is None else {**_record(reached[0], typed), "distance": reached[2], "options": reached[1]}
+def _nearest_record(reached: tuple[Any, float] | None, pose: Request) -> Record | None:
+    if reached is None:
+        return None
+    (state, distance), typed = reached, pose.typed
+    scaled = np.degrees(distance) if typed.machine.is_stage else distance * typed.unit.per_metre
+    return {**_record(state, typed), "distance": scaled, "options": pose.options_of(state, typed)}
 
 
-def _nearest_lines(reached: tuple[Any, str, float] | None, typed: MachineInUnits) -> list[str]:
+def _nearest_lines(reached: tuple[Any, float] | None, pose: Request) -> list[str]:
     """Return lines on the nearest pose, if any, with the options to enter it."""
     if reached is None:
         return []
-    _, options, distance = reached
-    away = "The nearest tilt that is reached:"
-    if not typed.machine.is_stage:
-        away = f"The nearest pose within the limits is {typed.unit.text(distance, 1)} {typed.unit} away:"
-    return [away, f"  {options}"]
+    what = "tilt that is reached" if pose.typed.machine.is_stage else "pose within the limits"
+    away = f"The nearest {what} is {pose.distance_text(reached[1])} away:"
+    return [away, f"  {pose.options_of(reached[0], pose.typed)}"]
+
+
+def _record(state: Any, typed: MachineInUnits) -> Record:
+    """Return the numbers of a state: its pose, readings and residual."""
+    residual = {"residual": state.closure_residual * typed.unit.per_metre}
+    return {
+        "readings": state.readings * typed.scale,
+        **requests.request_of(typed.machine).content(state, typed),
+        **residual,
+    }
+
+
+def _parasitic(typed: MachineInUnits) -> Record:
+    shifts = {
+        f"shift {axis} [{typed.unit}]": lambda row, k=k: typed.unit.text(row["shift"][k]) for k, axis in enumerate("xy")
+    }
+    return {**shifts, "torsion [°]": lambda row: fixed(row["torsion"], 3)}
 
 
 def forward(
-    legs: Annotated[Legs, LegsOption(LEGS_NAMES, "Readings of the legs")],
+    legs: Annotated[Legs, "Readings of the legs", "--legs", "--readings"],
     typed: MachineInUnits,
-    every: Annotated[bool, typer.Option("--all", help="Show every assembly mode, not only the physical one.")] = False,
-    xyx: Annotated[
-        bool, typer.Option("--xyx", help="Print the paper's X-Y-X angles in degrees (default)."), OF_MANIPULATOR
-    ] = False,
-    rpy: Annotated[
-        bool, typer.Option("--rpy", help="Print roll, pitch and yaw in degrees, as in URDF."), OF_MANIPULATOR
-    ] = False,
-    quat: Annotated[
-        bool, typer.Option("--quat", help="Print the unit quaternion, scalar last."), OF_MANIPULATOR
-    ] = False,
+    every: Annotated[bool, Option("--all", help="Show every assembly mode, not only the physical one.")] = False,
+    xyx: Annotated[bool, Option("--xyx", help="Print X-Y-X angles in degrees (default)."), OF_MANIPULATOR] = False,
+    rpy: Annotated[bool, Option("--rpy", help="Print roll, pitch, yaw in degrees."), OF_MANIPULATOR] = False,
+    quat: Annotated[bool, Option("--quat", help="Print the quaternion, scalar last."), OF_MANIPULATOR] = False,
 ) -> Report:
     """Find the pose of the platform from the readings of the legs, lengths or angles.
 
@@ -148,14 +136,13 @@ def forward(
     """
     chosen = [name for name, wanted in (("xyx", xyx), ("rpy", rpy), ("quat", quat)) if wanted] or ["xyx"]
     if len(chosen) > 1:
-        raise ArgumentError(
-            " and ".join(f"--{name}" for name in chosen), "one orientation", f"{len(chosen)} orientations"
-        )
+        several = " and ".join(f"--{name}" for name in chosen)
+        raise ArgumentError(several, "one orientation", f"{len(chosen)} orientations")
     machine: Any = typed.machine
     physical, modes = forward_physical(machine, legs), forward_displacement(machine, legs)
     home = modes.labels[int(modes.is_physical.argmax())] if physical.exists else ""
     labels = requests.selected_labels(modes, None) if every else [home] * bool(home)
-    records = requests.state_records(modes, labels, lambda state: _record(state, typed))
+    records = _records(modes, labels, lambda state: _record(state, typed))
     if not every and records:
         # By another way to the same configuration, with as many digits as a pose has.
         records[0] |= _record(physical, typed)
@@ -173,18 +160,16 @@ def forward(
         orientation, headings, decimals = _ORIENTATIONS[name]
         columns |= {x: lambda row, k=k: fixed(row[name][k], decimals + finer) for k, x in enumerate(headings)}
         title = f"{'Assembly modes' if every else 'The physical configuration'}: o in {typed.unit}, {orientation}"
-    columns[""] = requests.state_mark
-    lines = [requests.status_line(modes, "assembly mode", typed)]
+    columns[""] = _mark
+    remarks = []
     if modes.status is Status.DEGENERATE:
-        lines += ["With these legs locked the platform can still move.", *requests.family_remarks(modes)]
-    if modes.status is Status.UNREACHABLE:
-        lines += requests.readings_remarks(typed, legs)
-    else:
-        lines += requests.state_remarks(records, physical, "mode")
-        if modes.count and not records:
-            lines.append(f"{sentence(physical.missing_reason)}. Assembly modes that are real are shown by --all.")
-    content = requests.solutions_content(modes, typed) | {"count": modes.count, "modes": records}
-    code = requests.exit_code(modes.status, physical)
+        remarks = ["With these legs locked the platform can still move.", *requests.family_remarks(modes)]
+    elif modes.status is Status.UNREACHABLE:
+        remarks = [requests.readings_remark(typed, legs)]
+    elif not records:
+        remarks = [f"{sentence(physical.missing_reason)}. Assembly modes that are real are shown by --all."]
+    lines, code = _summary(modes, records, typed, "assembly mode", remarks)
+    content = _content(modes, typed) | {"count": modes.count, "modes": records}
     return Report(content, [Table(title, columns, records, left=[""]), *lines], code)
 
 
@@ -229,35 +214,11 @@ def _singularity(state: Any) -> Record:
 
 
 def _kind_and_mark(record: Record) -> str:
-    kind = record["kind"] if record["kind"] != "regular" else ""
-    return ", ".join(filter(None, [kind, requests.state_mark(record)]))
-
-
-def _of_branches(
-    typed: MachineInUnits,
-    pose: Request | None,
-    legs: Any,
-    branch: list[str] | None,
-    compute: Callable[[Any], Record],
-    tables: Callable[[list[Record]], list[Table]],
-) -> Report:
-    """Return a report of each branch of a pose, or of the state of readings; out of reach, of the nearest pose."""
-    solutions, remarks = requests.solve_request(typed, pose, legs)
-    records = requests.state_records(solutions, requests.selected_labels(solutions, branch), compute)
-    physical = solutions.physical()
-    code = requests.exit_code(solutions.status, physical)
-    lines = requests.state_remarks(records, physical, "branch")
-    if not solutions.count:
-        lines += [f"status: {solutions.status}, no real branch", *remarks]
-    if pose is not None and code in (3, 5):
-        lines += _nearest_lines(pose.nearest(), typed)
-    by_label = {record["label"]: record for record in records}
-    content = {**typed.content(), "status": str(solutions.status), "branches": by_label}
-    return Report(content, [*(tables(records) if records else []), *lines], code)
+    return ", ".join(filter(None, [record["kind"].replace("regular", ""), _mark(record)]))
 
 
 def _vector(help_text: str) -> Any:
-    return typer.Option(metavar="X Y Z", help=help_text)
+    return Option(metavar="X Y Z", help=help_text)
 
 
 def statics(
@@ -267,9 +228,7 @@ def statics(
     force: Annotated[Triple, _vector("Force onto m at o, in {B}, in newtons.")] = _ZERO,
     moment: Annotated[Triple, _vector("Moment onto m, in {B}, in newton metres.")] = _ZERO,
     velocity: Annotated[Triple, _vector("Velocity of o in {B}, in --unit per second; for a stage along Z.")] = _ZERO,
-    angular_velocity: Annotated[
-        Triple, _vector("Angular velocity of m in {B}, in degrees per second; for a stage about X and Y.")
-    ] = _ZERO,
+    angular_velocity: Annotated[Triple, _vector("Turning of m in {B}, in degrees/s; for a stage about X, Y.")] = _ZERO,
     branch: Branches = None,
 ) -> Report:
     """Compute the efforts of the actuators that balance a wrench on the platform, and the leg rates for its twist.
@@ -321,4 +280,72 @@ def _load_table(title: str, names: tuple[str, ...], records: list[Record], quant
         return "" if values is None else outputs.significant(values[leg], np.abs(values).max())
 
     columns = {name: lambda row, leg=leg: value(leg, row[quantity]) for leg, name in enumerate(names)}
-    return Table(title, {"branch": branch, **columns, "": requests.state_mark}, records, left=[""])
+    return Table(title, {"branch": branch, **columns, "": _mark}, records, left=[""])
+
+
+def _of_branches(
+    typed: MachineInUnits,
+    pose: Request | None,
+    legs: Any,
+    branch: list[str] | None,
+    compute: Callable[[Any], Record],
+    tables: Callable[[list[Record]], list[Table]],
+) -> Report:
+    """Return a report of each branch of a pose, or of the state of readings; out of reach, of the nearest pose."""
+    solutions, remarks = requests.solve_request(typed, pose, legs)
+    records = _records(solutions, requests.selected_labels(solutions, branch), compute)
+    lines, code = _summary(solutions, records, typed, "branch", remarks)
+    if pose is not None and code in (3, 5):
+        lines += _nearest_lines(pose.nearest(), pose)
+    content = _content(solutions, typed) | {"branches": {record["label"]: record for record in records}}
+    return Report(content, [*(tables(records) if records else []), *lines], code)
+
+
+def _records(solutions: Any, labels: list[str], compute: Callable[[Any], Record]) -> list[Record]:
+    """Return a record of each solution: its label, marks, and what `compute` returns for its state."""
+    records, is_physical = [], solutions.is_physical
+    for label in labels:
+        state = solutions[label]
+        beyond = np.flatnonzero(state.limit_excess)
+        marks = {"physical": bool(is_physical[solutions.labels.index(label)]), "within_limits": not beyond.size}
+        records.append({"label": label, **marks, "beyond_limits": beyond, **compute(state)})
+    return records
+
+
+def _mark(record: Record) -> str:
+    """Return the mark of a state in a table: a star for a leg beyond its limits."""
+    return "physical" * bool(record["physical"]) + "*" * (not record["within_limits"])
+
+
+def _content(solutions: Any, typed: MachineInUnits) -> Record:
+    """Return the JSON content common to all solutions: their units, the status, and any continuous family."""
+    degeneracy = solutions.degeneracy
+    family = degeneracy and {name: getattr(degeneracy, name) for name in ("dimension", "families", "legs")}
+    return {**typed.content(), "status": str(solutions.status), "degeneracy": family}
+
+
+def _summary(
+    solutions: Any, records: list[Record], typed: MachineInUnits, what: str, remarks: list[str]
+) -> tuple[list[str], int]:
+    """Return lines on solutions, called `what`, and on the marks of those shown, and the exit code.
+
+    The code is 3 if the request is unreachable, 4 if degenerate, 5 if there is no physical solution within the limits.
+    """
+    line = f"status: {solutions.status}"
+    if len(solutions.labels) > 1:
+        line += f", {solutions.count} of {len(solutions.labels)} {_PLURALS[what]} real"
+    if solutions.count:
+        residual = np.nanmax(solutions.configurations.closure_residual) * typed.unit.per_metre
+        line += f", closure residual up to {residual:.0e} {typed.unit}"
+    lines, physical = [line, *remarks], solutions.physical()
+    beyond = [", ".join(typed.names[leg] for leg in record["beyond_limits"]) for record in records]
+    if any(beyond):
+        own = [legs for legs, record in zip(beyond, records, strict=True) if record["physical"] and len(beyond) > 1]
+        of_physical = "".join(f"; of the physical {what}: {legs or 'none'}" for legs in own)
+        lines.append(f"* {beyond[0] if len(beyond) == 1 else 'a leg'} beyond the limits{of_physical}")
+    if records and not physical.exists:
+        home = "level platform" if typed.machine.is_stage else "home"
+        lines.append(f"No {what} is physical: none is reached from the {home} without a forward singularity.")
+    is_held = bool(physical.exists) and not physical.limit_excess.any()
+    codes = {Status.OK: 0 if is_held else 5, Status.UNREACHABLE: 3, Status.DEGENERATE: 4}
+    return lines, codes[Status(int(solutions.status))]

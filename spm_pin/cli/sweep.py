@@ -16,7 +16,7 @@ from typer import Argument, Option
 
 from spm_pin import sweeps
 from spm_pin.cli import outputs
-from spm_pin.cli.options import OF_MANIPULATOR, leg_numbers
+from spm_pin.cli.options import OF_MANIPULATOR, MachineFile, Picture, Scheduler, Seed, Workers, leg_numbers
 from spm_pin.cli.outputs import Report, Table
 from spm_pin.cli.units import MachineInUnits
 from spm_pin.design import VARIABLES, DesignProblem, Front, Task, pareto_front
@@ -24,56 +24,52 @@ from spm_pin.display.figures import front_figure
 from spm_pin.errors import ArgumentError, require_extra
 from spm_pin.machine import Manipulator, Stage
 from spm_pin.machine.machine import unit_hint
-from spm_pin.support.arguments import FloatArray
 from spm_pin.support.motion_table import MotionTable
 from spm_pin.sweeps.domains import Domain, coordinate_unit
 from spm_pin.sweeps.runner import CHUNK
 
 _DEFAULT = ("reachable", "branches", "conditioning")
 _RANGE = "START:STOP:COUNT"
-_LEGS = (
-    "Readings of the legs, for RRS legs in degrees, instead of poses: once for all six, twice for lower and "
-    "upper, or six times; for a stage once for all three, or three times."
-)
-_SAMPLES = "Number of random points instead of a lattice; ranges are then START:STOP."
-_METRICS = f"May be repeated; default: {', '.join(_DEFAULT)}. One of {', '.join(sweeps.METRICS)}."
-_LENGTH = "Characteristic length of conditioning and isotropy, in --unit; default: the platform's radius."
+_METRICS = f"Repeatable; default: {', '.join(_DEFAULT)}. One of {', '.join(sweeps.METRICS)}."
 _COLUMNS = (
     "volume, footprint, assembled, certified, task_margin or task_effort with --task, or a metric with _mean or _low, "
     "such as payload_low"
 )
 _NONE = "no machine keeps the bounds"
+_TILT = "height", "tilt", "azimuth"
+
+
+def _axis(help_text: str) -> Any:
+    return Option(metavar=_RANGE, help=help_text)
 
 
 def sweep(
     typed: MachineInUnits,
-    out: Annotated[Path, Option(metavar="FOLDER", help="Store of the results, in Zarr v3.")],
-    x: Annotated[
-        str | None, Option(metavar=_RANGE, help="X of o in {B}, in --unit, or one number."), OF_MANIPULATOR
-    ] = None,
-    y: Annotated[str | None, Option(metavar=_RANGE, help="Y, likewise."), OF_MANIPULATOR] = None,
-    z: Annotated[str | None, Option(metavar=_RANGE, help="Z, likewise."), OF_MANIPULATOR] = None,
+    store: Annotated[Path, Option("--out", metavar="FOLDER", help="Store of the results, in Zarr v3.")],
+    x: Annotated[str | None, _axis("X of o in {B}, in --unit, or one number."), OF_MANIPULATOR] = None,
+    y: Annotated[str | None, _axis("Y, likewise."), OF_MANIPULATOR] = None,
+    z: Annotated[str | None, _axis("Z, likewise."), OF_MANIPULATOR] = None,
     xyx: Annotated[
         tuple[str, str, str] | None,
         Option(metavar="ALPHA BETA LAMBDA", help="X-Y-X angles in degrees, each a range or one number."),
         OF_MANIPULATOR,
     ] = None,
-    height: Annotated[
-        str | None, Option(metavar=_RANGE, help="For a stage: height of its platform, in --unit.")
+    height: Annotated[str | None, _axis("For a stage: height of its platform, in --unit.")] = None,
+    tilt: Annotated[str | None, _axis("For a stage: its tilt in degrees.")] = None,
+    azimuth: Annotated[str | None, _axis("For a stage: direction in which it is lowest, in degrees.")] = None,
+    legs: Annotated[
+        list[str] | None, _axis("Readings instead of poses: once for all legs, twice for the stages, or one each.")
     ] = None,
-    tilt: Annotated[str | None, Option(metavar=_RANGE, help="For a stage: its tilt in degrees.")] = None,
-    azimuth: Annotated[
-        str | None, Option(metavar=_RANGE, help="For a stage: direction in which it is lowest, in degrees.")
+    samples: Annotated[int | None, Option(min=1, help="Random points, not a lattice; ranges are START:STOP.")] = None,
+    seed: Seed = 0,
+    metrics: Annotated[list[str] | None, Option("--metric", metavar="NAME", help=_METRICS)] = None,
+    length: Annotated[
+        float | None, Option(help="Length of conditioning, isotropy; default: platform's radius.")
     ] = None,
-    legs: Annotated[list[str] | None, Option(metavar=_RANGE, help=_LEGS)] = None,
-    samples: Annotated[int | None, Option(min=1, help=_SAMPLES)] = None,
-    seed: Annotated[int, Option(min=0, help="Seed of the random points.")] = 0,
-    metric: Annotated[list[str] | None, Option(metavar="NAME", help=_METRICS)] = None,
-    length: Annotated[float | None, Option(help=_LENGTH)] = None,
-    leg_force: Annotated[float, Option(help="Largest force of a leg, for the payloads [N].")] = 1.0,
+    push: Annotated[float, Option("--leg-force", help="Largest force of a leg, for the payloads [N].")] = 1.0,
     leg_stiffness: Annotated[float, Option(help="Stiffness of a leg, for the stiffnesses [N/m].")] = 1.0,
-    scheduler: Annotated[str | None, Option(metavar="ADDRESS", help="Dask scheduler: tcp://head:8786.")] = None,
-    workers: Annotated[int | None, Option(min=1, help="Processes on this machine; default: one per processor.")] = None,
+    scheduler: Scheduler = None,
+    workers: Workers = None,
     chunk: Annotated[int, Option(min=1, help="Most points per chunk, the unit of work and of storage.")] = CHUNK,
     status: Annotated[bool, Option("--status", help="Only print how much is done.")] = False,
 ) -> Report:
@@ -86,89 +82,86 @@ def sweep(
 
     If it is interrupted nothing is lost: the same command continues, and so does spm-pin sweep --out FOLDER alone.
     """
-    tilts = {"--height": height, "--tilt": tilt, "--azimuth": azimuth}
-    poses: dict[str, Any] = {"--x": x, "--y": y, "--z": z, "--xyx": xyx}
+    poses: dict[str, Any] = {"x": x, "y": y, "z": z, "xyx": xyx, "height": height, "tilt": tilt, "azimuth": azimuth}
+    machine, unit = typed.machine, typed.unit
+    places = {name: value for name, value in poses.items() if (name in _TILT) == machine.is_stage}
+    if strange := [f"--{name}" for name, value in poses.items() if value is not None and name not in places]:
+        raise outputs.cannot_be_used(", ".join(strange), "a stage" if machine.is_stage else "a manipulator")
     drawn: dict[str, Any] = {} if samples is None else {"count": samples, "seed": seed}
     run: dict[str, Any] = {"scheduler": scheduler, "workers": workers}
-    machine, unit = typed.machine, typed.unit
-    others, own = (poses, tilts) if machine.is_stage else (tilts, poses)
-    if strange := [option for option, value in others.items() if value is not None]:
-        kind, other = ("a stage", "a pose") if machine.is_stage else ("a manipulator", "a stage")
-        raise outputs.cannot_be_used(", ".join(strange), kind, f"They are coordinates of {other}")
-    domain = None if status else _domain(own, legs, drawn, 1.0 / typed.scale, 1.0 / unit.per_metre)
+    domain = None if status else _domain(places, legs, drawn, typed)
     if domain is not None:
         require_extra("cluster")
-        axes = list(zip(domain.axes, map(partial(coordinate_unit, machine), domain.axes), strict=True))
-        ends = [axis.start if axis.is_fixed else axis.stop for axis, name in axes if name == "m"]
-        longest = max(map(abs, ends), default=0.0)
+        axes = [axis for axis in domain.axes if coordinate_unit(machine, axis) == "m"]
+        longest = max((abs(axis.start if axis.is_fixed else axis.stop) for axis in axes), default=0.0)
         name = "--legs" if legs else "--height" if machine.is_stage else "--x, --y, --z"
         if hint := typed.hint(name, longest * unit.per_metre):
             outputs.note(hint, "yellow")
-        parameters: dict[str, float] = {"push": leg_force, "leg_stiffness": leg_stiffness}
+        parameters: dict[str, float] = {"push": push, "leg_stiffness": leg_stiffness}
         if length is not None:
             parameters["length"] = length / unit.per_metre
-        chosen = [_with_parameters(name, parameters) for name in metric or _DEFAULT]
-        with _progress(out) as progress:
-            sweeps.run_sweep(machine, domain, chosen, out, chunk=chunk, progress=progress, **run)
+        chosen = [_with_parameters(name, parameters) for name in metrics or _DEFAULT]
+        with _progress(store) as progress:
+            sweeps.run_sweep(machine, domain, chosen, store, chunk=chunk, progress=progress, **run)
     elif not status:
-        beside = {"--samples": samples, "--metric": metric, "--length": length}
+        beside = {"--samples": samples, "--metric": metrics, "--length": length}
         beside |= {f"--{name}": True for name in typed.given if name != "machine"}
-        named = ", ".join(option for option, value in beside.items() if value)
-        if named:
-            cause = "To continue a sweep, give --out alone"
-            raise ArgumentError(", ".join((*own, "--legs")), f"ranges beside {named}", "none", cause)
+        if named := ", ".join(option for option, value in beside.items() if value):
+            coordinates = ", ".join(f"--{name}" for name in (*places, "legs"))
+            raise ArgumentError(coordinates, f"ranges beside {named}", "none", "To continue a sweep, give --out alone")
         require_extra("cluster")
-        with _progress(out) as progress:
-            sweeps.resume_sweep(out, progress=progress, **run)
-    stored = sweeps.sweep_status(out)
-    content = dataclasses.asdict(stored) | {"complete": stored.complete, "store": str(out)}
+        with _progress(store) as progress:
+            sweeps.resume_sweep(store, progress=progress, **run)
+    stored = sweeps.sweep_status(store)
+    content = dataclasses.asdict(stored) | {"complete": stored.complete, "store": str(store)}
     shape = ", ".join(f"{name} {size}" for name, size in stored.shape.items())
     lines = [f"{stored.points} points: {shape}", f"metrics: {', '.join(stored.metrics)}"]
     lines.append(f"{stored.done} of {stored.total} chunks complete")
-    lines.append(f'open with: xarray.open_zarr("{out}")' if stored.complete else _go_on(out, stored.own_metrics))
+    lines.append(f'open with: xarray.open_zarr("{store}")' if stored.complete else _go_on(store, stored.own_metrics))
     return Report(content, lines)
 
 
 def _domain(
-    poses: dict[str, Any], legs: list[str] | None, drawn: dict[str, Any], metres: FloatArray, scale: float
+    places: dict[str, Any], legs: list[str] | None, drawn: dict[str, Any], typed: MachineInUnits
 ) -> Domain | None:
-    """Return the domain of `poses` or `legs`, if any; readings are multiplied by `metres`, positions by `scale`."""
-    missing = [option for option, value in poses.items() if value is None]
-    if legs and len(missing) < len(poses):
-        raise ArgumentError("--legs", "poses or leg lengths, not both", "both")
+    """Return the domain of coordinates of poses or `legs`, if any are given."""
+    given = {name: value for name, value in places.items() if value is not None}
     if legs:
-        count = len(metres)
+        if given:
+            raise ArgumentError("--legs", "poses or leg lengths, not both", "both")
+        count = len(typed.names)
         if len(legs) not in {1, count // 3, count}:
             expected = "one range, two, or six" if count == 6 else "one range, or three"
             raise ArgumentError("--legs", expected, f"{len(legs)}")
         texts = [text for text in legs for _ in range(count // len(legs))]
-        ranges = [_range("--legs", text, factor) for text, factor in zip(texts, metres.tolist(), strict=True)]
+        ranges = [_range("--legs", text, scale) for text, scale in zip(texts, typed.scale.tolist(), strict=True)]
         stages: dict[str, Any] = {"lower": ranges[:3], "upper": ranges[3:] or None}
         return (sweeps.leg_sample if drawn else sweeps.leg_grid)(**stages, **drawn)
-    if len(missing) == len(poses):
+    if not given:
         return None
-    if missing:
-        raise ArgumentError(", ".join(missing), "a range or a number for every coordinate", "none")
-    if "--tilt" in poses:
-        degrees = np.pi / 180.0
-        factors = zip(("height", "tilt", "azimuth"), (scale, degrees, degrees), strict=True)
-        tilts: dict[str, Any] = {name: _range(f"--{name}", poses[f"--{name}"], factor) for name, factor in factors}
-        return (sweeps.tilt_sample if drawn else sweeps.tilt_grid)(**drawn, **tilts)
-    pose: dict[str, Any] = {axis: _range(f"--{axis}", poses[f"--{axis}"], scale) for axis in "xyz"}
-    pose["xyx"] = [_range("--xyx", text, np.pi / 180.0) for text in poses["--xyx"]]
-    return (sweeps.pose_sample if drawn else sweeps.pose_grid)(**drawn, **pose)
+    if missing := ", ".join(f"--{name}" for name in places if name not in given):
+        raise ArgumentError(missing, "a range or a number for every coordinate", "none")
+    degrees = 180.0 / np.pi
+    scales = dict.fromkeys(("xyx", "tilt", "azimuth"), degrees)
+    read: dict[str, Any] = {
+        name: [_range(f"--{name}", text, degrees) for text in value]
+        if isinstance(value, tuple)
+        else _range(f"--{name}", value, scales.get(name, typed.unit.per_metre))
+        for name, value in given.items()
+    }
+    if typed.machine.is_stage:
+        return (sweeps.tilt_sample if drawn else sweeps.tilt_grid)(**drawn, **read)
+    return (sweeps.pose_sample if drawn else sweeps.pose_grid)(**drawn, **read)
 
 
 def _range(option: str, text: str, scale: float) -> float | tuple[float, ...]:
-    """Read a number, START:STOP or START:STOP:COUNT; the caller checks which of them is allowed."""
-    parts = text.split(":")
+    """Read a number, START:STOP or START:STOP:COUNT; numbers are divided by `scale`."""
     try:
-        numbers = [float(part) for part in parts]
-        counts = [int(part) for part in parts[2:]]
+        numbers = [float(part) / scale for part in text.split(":")[:2]]
+        counts = [int(part) for part in text.split(":")[2:]]
     except ValueError:
         raise ArgumentError(option, f"a number, START:STOP or {_RANGE}", repr(text)) from None
-    scaled = [number * scale for number in numbers[:2]]
-    return scaled[0] if len(numbers) == 1 else (*scaled, *counts)
+    return numbers[0] if len(numbers) == 1 else (*numbers, *counts)
 
 
 def _with_parameters(name: str, parameters: dict[str, float]) -> str | sweeps.Metric:
@@ -197,25 +190,21 @@ def _progress(out: Path) -> Iterator[Callable[[int, int], None]]:
         raise typer.Exit(130) from None
 
 
+def _bound(help_text: str) -> Any:
+    return Option(metavar="COLUMN:VALUE", help=help_text)
+
+
 def design(
     typed: MachineInUnits,
     store: Annotated[Path, Argument(metavar="STORE", help="JSON file of the search; one that exists is continued.")],
     free: Annotated[
         list[str],
-        Option(
-            metavar="NAME:LOW:HIGH",
-            help=f"A free dimension in metres, angles in radians: {', '.join(VARIABLES)}. May be repeated.",
-        ),
+        Option(metavar="NAME:LOW:HIGH", help=f"Free dimension \\[m, rad]: {', '.join(VARIABLES)}. Repeatable."),
     ],
     maximise: Annotated[list[str] | None, Option(metavar="COLUMN", help=f"Column to maximise: {_COLUMNS}.")] = None,
     minimise: Annotated[list[str] | None, Option(metavar="COLUMN", help="Column to minimise.")] = None,
-    at_least: Annotated[
-        list[str] | None, Option(metavar="COLUMN:VALUE", help="Lower bound, such as certified:1. May be repeated.")
-    ] = None,
-    at_most: Annotated[
-        list[str] | None,
-        Option(metavar="COLUMN:VALUE", help="Upper bound, such as footprint:1.2. May be repeated."),
-    ] = None,
+    at_least: Annotated[list[str] | None, _bound("Lower bound, such as certified:1. Repeatable.")] = None,
+    at_most: Annotated[list[str] | None, _bound("Upper bound, such as footprint:1.2. Repeatable.")] = None,
     task: Annotated[
         Path | None,
         Option(metavar="CSV", help="Poses to be reached, columns x y z \\[m], qx qy qz qw: task_margin, task_effort."),
@@ -229,15 +218,12 @@ def design(
     population: Annotated[int, Option(min=2, help="Number of machines in a generation.")] = 40,
     generations: Annotated[int, Option(min=2, help="Number of generations.")] = 25,
     states: Annotated[int, Option(min=2, help="Number of states at which each machine is evaluated.")] = 2000,
-    seed: Annotated[int, Option(min=0, help="Seed of the search and of the states.")] = 0,
-    workers: Annotated[
-        int | None,
-        Option(min=1, help="Processes on this machine; default 1. More are faster if a generation takes long."),
-    ] = None,
-    scheduler: Annotated[str | None, Option(metavar="ADDRESS", help="Dask scheduler: tcp://head:8786.")] = None,
+    seed: Seed = 0,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
     choose: Annotated[int | None, Option(metavar="ROW", help="Row of the front to write to --out, from 0.")] = None,
-    out: Annotated[Path | None, outputs.file_option("YAML file of the chosen machine.", (".yaml", ".yml"))] = None,
-    figure: Annotated[Path | None, outputs.picture_option("Picture (.png, .svg, .pdf) of the front to write.")] = None,
+    out: MachineFile = None,
+    figure: Picture = None,
 ) -> Report:
     """Search for dimensions that no others beat in all aims: a Pareto front.
 
@@ -251,32 +237,24 @@ def design(
     require_extra("design")
     if (choose is None) != (out is None):
         raise ArgumentError("--choose and --out", "both or neither", "only one of them")
-    if choose is not None and choose < 0:
-        raise ArgumentError("--choose", "a row of the front, from 0", choose)
-    ends = _by_name("--free", [_numbers("--free", text, 2) for text in free])
-    least = _by_name("--at-least", [_numbers("--at-least", text, 1) for text in at_least or []])
-    most = _by_name("--at-most", [_numbers("--at-most", text, 1) for text in at_most or []])
-    aims = [(name, "max") for name in maximise or []] + [(name, "min") for name in minimise or []]
     if wrench is not None and task is None:
         raise ArgumentError("--wrench", "poses at which it acts", "no --task CSV")
-    machine = typed.machine
-    functions = {} if task is None else _task_functions(task, wrench, machine)
+    aims = [(name, "max") for name in maximise or []] + [(name, "min") for name in minimise or []]
     problem = DesignProblem(
-        machine,
-        {name: (low, high) for name, (low, high) in ends.items()},
+        typed.machine,
+        _by_name("--free", [_numbers("--free", text, 2) for text in free]),
         _by_name("--maximise, --minimise", aims),
-        at_least={name: value for name, (value,) in least.items()},
-        at_most={name: value for name, (value,) in most.items()},
-        functions=functions,
+        at_least=_by_name("--at-least", [_numbers("--at-least", text, 1) for text in at_least or []]),
+        at_most=_by_name("--at-most", [_numbers("--at-most", text, 1) for text in at_most or []]),
+        functions={} if task is None else _task_functions(task, wrench, typed.machine),
     )
     search = {"population": population, "generations": generations, "states": states, "seed": seed}
     with outputs.progress_bar() as progress:
         front = pareto_front(problem, store, **search, scheduler=scheduler, workers=workers, progress=progress)
     if choose is not None and out is not None:
-        if choose >= len(front.designs):
-            if not len(front.designs):
-                raise ArgumentError("--choose", "a front with rows", choose, _NONE.capitalize())
-            raise ArgumentError("--choose", f"a row from 0 to {len(front.designs) - 1}", choose)
+        if not 0 <= choose < len(front.designs):
+            expected = f"a row from 0 to {len(front.designs) - 1}" if len(front.designs) else "a front with rows"
+            raise ArgumentError("--choose", expected, choose)
         front.designs.machines[choose].to_yaml(out)
         outputs.note(f"wrote {out}")
     outputs.write_figure(figure, front_figure, front)
@@ -304,16 +282,14 @@ def _task_functions(path: Path, wrench: str | None, machine: Manipulator | Stage
     return {"task_margin": task.margin, "task_effort": task.effort}
 
 
-def _numbers(option: str, text: str, count: int) -> tuple[str, list[float]]:
-    """Read a name and numbers, separated by colons."""
+def _numbers(option: str, text: str, count: int) -> tuple[str, Any]:
+    """Read a name and a number, or two as a pair, with colons between."""
     name, *numbers = text.split(":")
-    try:
-        values = [float(number) for number in numbers]
-    except ValueError:
-        values = []
-    if len(values) != count:
-        raise ArgumentError(option, f"a name and {count} number{'s' * (count > 1)}, with colons between", repr(text))
-    return name, values
+    with contextlib.suppress(ValueError):
+        values = tuple(float(number) for number in numbers)
+        if len(values) == count:
+            return name, values if count > 1 else values[0]
+    raise ArgumentError(option, f"a name and {count} number{'s' * (count > 1)}, with colons between", repr(text))
 
 
 def _by_name(option: str, pairs: list[tuple[str, Any]]) -> dict[str, Any]:

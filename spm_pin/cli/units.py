@@ -11,7 +11,6 @@ import numpy as np
 from spm_pin.cli.outputs import note
 from spm_pin.display.writing import fixed
 from spm_pin.errors import ArgumentError
-from spm_pin.formulas.planar_legs import MOST_TURNED
 from spm_pin.machine.machine import PER_METRE, likely_unit
 from spm_pin.support.arguments import BoolArray, FloatArray
 
@@ -63,13 +62,8 @@ class MachineInUnits:
 
     @property
     def scale(self) -> FloatArray:
-        """Number of units in a metre, or in a radian, shape as `are_angles`."""
+        """Number of units in a metre, or of degrees in a radian, shape as `are_angles`."""
         return np.where(self.are_angles, 180.0 / np.pi, self.unit.per_metre)
-
-    @property
-    def reading_units(self) -> list[str]:
-        """Units of the readings, "deg" for degrees."""
-        return ["deg" if is_angle else str(self.unit) for is_angle in self.are_angles]
 
     @property
     def heading(self) -> str:
@@ -83,14 +77,16 @@ class MachineInUnits:
 
     def content(self) -> dict[str, Any]:
         """Return the JSON content that names the units."""
-        return {"unit": self.unit, "reading_units": self.reading_units}
+        units = ["deg" if is_angle else str(self.unit) for is_angle in self.are_angles]
+        return {"unit": self.unit, "reading_units": units}
 
     def read(self, option: str, typed: Any) -> FloatArray:
         """Return typed readings in [m, rad], one for all legs or one each; cranks turn by at most one turn."""
-        angles = self._angles(typed)
+        readings = np.broadcast_to(typed, self.are_angles.shape)
+        angles = np.abs(readings[self.are_angles & np.isfinite(readings)])
         if (angles > 360.0).any():
             raise ArgumentError(option, "angles of cranks in degrees, of at most one turn", f"{angles.max():g}")
-        return np.asarray(np.array(typed) / self.scale)
+        return np.asarray(readings / self.scale)
 
     def read_limits(self, option: str, minimum: Any, maximum: Any) -> list[list[float]]:
         """Return typed limits in [m, rad], with a note on their unit if another one is likely."""
@@ -99,16 +95,7 @@ class MachineInUnits:
         if (wrong := np.ravel(np.greater_equal(minimum, maximum))).any():
             low, high = (np.ravel(x)[wrong][0] for x in np.broadcast_arrays(minimum, maximum))
             raise ArgumentError(option, "minimum < maximum", f"{low:g} {high:g}", "Minimum and maximum exchanged?")
-        largest = max([0.0, *self._angles(minimum), *self._angles(maximum)])
-        if 0.0 < largest <= MOST_TURNED:
-            degrees = f"{np.degrees(largest):.0f}°"
-            note(f"{option} was read in degrees: {largest:g}° at most. In radians {largest:g} are {degrees}", "yellow")
-        return [self.read(option, np.broadcast_to(x, self.are_angles.shape)).tolist() for x in (minimum, maximum)]
-
-    def _angles(self, typed: Any) -> FloatArray:
-        """Return the finite magnitudes of typed angles [degrees]."""
-        angles = np.abs(np.broadcast_to(typed, self.are_angles.shape)[self.are_angles])
-        return np.asarray(angles[np.isfinite(angles)])
+        return [self.read(option, end).tolist() for end in (minimum, maximum)]
 
     def text(self, reading: float, leg: int) -> str:
         """Return a reading, in its unit, for a table."""
@@ -122,9 +109,8 @@ class MachineInUnits:
             for leg, name in enumerate(self.names)
         }
 
-    def hint(self, option: str, typed: Any) -> str:
-        """Return a hint on the unit if a typed length, or three in norm, is out of proportion; otherwise empty."""
-        length = float(np.linalg.norm(typed))
+    def hint(self, option: str, length: float) -> str:
+        """Return a hint on the unit if a typed length is out of proportion; otherwise empty."""
         better = likely_unit(self.machine, length / self.unit.per_metre, self.unit)
         if better is None:
             return ""
@@ -137,4 +123,4 @@ class MachineInUnits:
     def readings_hint(self, option: str, typed: Any) -> str:
         """Return the `hint` for the lengths among typed readings."""
         lengths = np.abs(np.broadcast_to(typed, self.are_angles.shape)[~self.are_angles])
-        return self.hint(option, lengths.max()) if lengths.size else ""
+        return self.hint(option, float(lengths.max())) if lengths.size else ""

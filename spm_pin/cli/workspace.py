@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from operator import itemgetter
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,14 +11,15 @@ import numpy as np
 from typer import Option
 
 from spm_pin.cli import outputs
-from spm_pin.cli.outputs import Report, Table
+from spm_pin.cli.options import Picture
+from spm_pin.cli.outputs import Part, Report, Table
 from spm_pin.cli.units import MachineInUnits
-from spm_pin.crosscheck.paper_shell import ERRATA, Shell, sample_positions_near_limits, workspace_shell
+from spm_pin.crosscheck.paper_shell import ERRATA, Shell, workspace_shell
 from spm_pin.display.figures import reach_figure
-from spm_pin.display.shell_plots import MESH_FORMATS, save_mesh, sections_figure, shell_figure
-from spm_pin.display.writing import FORMATS, fixed, save_figure
-from spm_pin.errors import ArgumentError, require_extra
-from spm_pin.machine import LEGS, LegLimits, Manipulator
+from spm_pin.display.shell_plots import MESH_FORMATS, save_mesh, shell_figure
+from spm_pin.display.writing import FORMATS, fixed
+from spm_pin.errors import require_extra
+from spm_pin.machine import LEGS
 from spm_pin.machine.manipulator import check_manipulator
 from spm_pin.workspace import ReachEnd, best_height, height_range
 from spm_pin.workspace import reach as largest_tilts
@@ -27,173 +29,130 @@ from spm_pin.workspace.positions import Estimate
 
 def workspace(
     typed: MachineInUnits,
-    spacing: Annotated[
-        float | None, Option(help="Spacing of the grid, in --unit; default: a twentieth of the reachable set.")
-    ] = None,
+    spacing: Annotated[float | None, Option(help="Spacing of the grid, in --unit; default: a twentieth.")] = None,
     out: Annotated[
         Path | None,
         Option(metavar="FILE", help="Picture (.png, .svg, .pdf) or mesh in metres (.stl, .ply, .obj, .glb)."),
     ] = None,
-    paper: Annotated[
-        bool, Option("--paper", help="The 24 surfaces of the paper's Table 6 instead, for nominal RPS legs.")
-    ] = False,
+    paper: Annotated[bool, Option("--paper", help="The 24 surfaces of the paper's Table 6, for RPS legs.")] = False,
     resolution: Annotated[int, Option(help="Increments of a varying leg for --paper, at least 2.")] = 40,
-    sections: Annotated[bool, Option("--sections", help="Draw sections of --paper, with reachable points.")] = False,
-    samples: Annotated[int, Option(min=1, help="Random sets of leg lengths for --sections.")] = 2_000_000,
 ) -> Report:
     """Compute where the platform's centre can be, in some orientation: boundary and volume of the reachable set.
 
     Example: spm-pin workspace --limits 110 150 --unit cm --out reached.png
 
     It takes the file of a calibrated machine as well. The volume is extrapolated from two meshes, with the spacing and
-    half of it. --paper computes the paper's shell, which is not the whole boundary: --sections shows where. It needs
-    the extra "workspace", and --out "plots".
+    half of it. --paper computes the paper's shell, which is not the whole boundary. It needs the extra
+    "workspace", and --out "plots".
     """
-    if sections and (out is None or not paper):
-        lacking = "no --out FILE" if paper else "no --paper"
-        raise ArgumentError("--sections", "--paper and a picture to draw them in", lacking)
     if out is not None:
         cause = "Maps over many poses are for spm-pin sweep" if out.suffix == ".zarr" else ""
-        outputs.check_output(out, "--out", FORMATS if sections else (*FORMATS, *MESH_FORMATS), cause)
+        outputs.check_output(out, "--out", (*FORMATS, *MESH_FORMATS), cause)
         require_extra("plots")
     machine, unit = check_manipulator(typed.machine, for_stage="For a stage see spm-pin stage reach"), typed.unit
-    shell: Shell | Boundary
+    mesh: Shell | Boundary
     if paper:
-        shell = workspace_shell(machine, resolution=resolution)
+        mesh = workspace_shell(machine, resolution=resolution)
+        report = Report(*_of_shell(mesh, typed, has_tables=out is None))
     else:
         require_extra("workspace")
-        shell, volume = _reached(machine, None if spacing is None else spacing / unit.per_metre)
+        with outputs.progress_bar() as progress:
+            coarse_spacing = None if spacing is None else spacing / unit.per_metre
+            coarse = reachable_boundary(machine, spacing=coarse_spacing, progress=progress)
+            mesh = reachable_boundary(machine, spacing=0.5 * coarse.spacing, progress=progress)
+        report = Report(*_of_boundary(mesh, Estimate.from_meshes(coarse, mesh), typed))
     if out is not None and out.suffix.lower() in MESH_FORMATS:
-        save_mesh(shell, out)
-    elif isinstance(shell, Shell) and sections and out is not None:
-        with outputs.stderr.status("drawing leg lengths"):
-            reached, aspect = sample_positions_near_limits(shell.machine, shell.limits, count=samples)
-        save_figure(sections_figure(shell, reached, aspect), out)
-    elif out is not None:
-        save_figure(shell_figure(shell), out)
-    if out is not None:
+        save_mesh(mesh, out)
         outputs.note(f"wrote {out}")
-    if isinstance(shell, Boundary):
-        return _reached_report(shell, volume, typed)
-    return Report(_content(shell, typed), [*(_tables(shell, typed) if out is None else []), *_remarks(shell, typed)])
+    else:
+        outputs.write_figure(out, shell_figure, mesh)
+    return report
 
 
-def _reached(machine: Manipulator, spacing: float | None) -> tuple[Boundary, Estimate]:
-    """Return the boundary of the reachable set, with half the spacing, and its volume."""
-    with outputs.progress_bar() as progress:
-        coarse = reachable_boundary(machine, spacing=spacing, progress=progress)
-        fine = reachable_boundary(machine, spacing=0.5 * coarse.spacing, progress=progress)
-    return fine, Estimate.from_meshes(coarse, fine)
-
-
-def _measures(mesh: Shell | Boundary, volume: float, error: float, typed: MachineInUnits) -> dict[str, Any]:
-    """Return the JSON content of a mesh of either kind."""
-    length = typed.unit.per_metre
-    return {
+def _of_mesh(mesh: Shell | Boundary, volume: float, error: float, typed: MachineInUnits) -> tuple[Any, list[str]]:
+    """Return the JSON content of a mesh of either kind, and lines on its limits and its volume."""
+    length, scale = typed.unit.per_metre, typed.unit.per_metre**3
+    content = {
         **typed.content(),
         "limits": {end: getattr(mesh.limits, end) * typed.scale for end in ("minimum", "maximum")},
         "vertices": len(mesh.vertices),
         "faces": len(mesh.faces),
         "area": mesh.area * length**2,
-        "volume": volume * length**3,
-        "volume_error": error * length**3,
+        "volume": volume * scale,
+        "volume_error": error * scale,
     }
-
-
-def _measure_lines(mesh: Shell | Boundary, volume: float, error: float, typed: MachineInUnits) -> list[str]:
-    """Return the limits and the volume, which has one digit more than its error justifies."""
-    scale = typed.unit.per_metre**3
+    ends = mesh.limits.ends * typed.scale
+    least, most = (", ".join(f"{x:g}" for x in (end[:1] if (end == end[0]).all() else end)) for end in ends)
+    # The volume has one digit more than its error justifies.
     digits = 1 - math.floor(math.log10(error * scale)) if error else 0
     size, off = (f"{round(x * scale, n):.{max(0, n)}f}" for x, n in ((volume, digits), (error, digits - 1)))
-    return [*_limit_lines(mesh.limits, typed), f"volume {size} ± {off} {typed.unit}³"]
+    return content, [f"legs from {least} to {most} {typed.heading}", f"volume {size} ± {off} {typed.unit}³"]
 
 
-def _reached_report(boundary: Boundary, estimate: Estimate, typed: MachineInUnits) -> Report:
+def _of_boundary(boundary: Boundary, estimate: Estimate, typed: MachineInUnits) -> tuple[Any, list[str]]:
     unit, length = typed.unit, typed.unit.per_metre
-    volume = estimate.value, estimate.high - estimate.value
+    content, lines = _of_mesh(boundary, estimate.value, estimate.high - estimate.value, typed)
     low, high = boundary.vertices.min(axis=0) * length, boundary.vertices.max(axis=0) * length
-    own = {"spacing": boundary.spacing * length, "extent": {"minimum": low, "maximum": high}}
-    extent = (f"{axis} from {a:.4g} to {b:.4g} {unit}" for axis, a, b in zip("XYZ", low, high, strict=True))
-    mesh = f"mesh of {len(boundary.vertices)} vertices, spacing {boundary.spacing * length:.3g} {unit}"
-    lines = [*_measure_lines(boundary, *volume, typed), *extent, mesh]
-    return Report(_measures(boundary, *volume, typed) | own, lines)
+    content |= {"spacing": boundary.spacing * length, "extent": {"minimum": low, "maximum": high}}
+    lines += [f"{axis} from {a:.4g} to {b:.4g} {unit}" for axis, a, b in zip("XYZ", low, high, strict=True)]
+    lines.append(f"mesh of {len(boundary.vertices)} vertices, spacing {boundary.spacing * length:.3g} {unit}")
+    return content, lines
 
 
-def _limit_lines(limits: LegLimits, typed: MachineInUnits) -> list[str]:
-    """Return the limits in words, in one line if all legs have the same unit."""
-    units, lines = typed.reading_units, []
-    stages = {"lower legs": slice(0, 3), "upper legs": slice(3, 6)}
-    for place, legs in stages.items() if len(set(units)) > 1 else [("legs", slice(0, 6))]:
-        ends = (limits.ends * typed.scale)[:, legs]
-        least, most = (", ".join(f"{x:g}" for x in (end[:1] if (end == end[0]).all() else end)) for end in ends)
-        lines.append(f"{place} from {least} to {most} {units[legs.start]}")
-    return lines
-
-
-def _tables(shell: Shell, typed: MachineInUnits) -> list[Table]:
-    unit = typed.unit
-    settings = {leg: lambda patch, k=k: patch.settings[k].value for k, leg in enumerate(LEGS)}
-    area = {"area": lambda patch: outputs.significant(patch.area * unit.per_metre**2)}
-    columns = {"patch": lambda patch: patch.name, **settings, **area}
-    title = f"The surfaces: leg settings, area in {unit}²"
-    patches = Table(title, columns, shell.patches, left=LEGS, group=lambda patch: patch.family)
-    scale, convergence = unit.per_metre**3, shell.convergence
-    columns = {
-        "increments": lambda row: str(row[0]),
-        "volume": lambda row: outputs.significant(row[1] * scale, digits=8),
-        "short of the limit by": lambda row: outputs.significant((convergence.limit - row[1]) * scale, digits=2),
+def _of_shell(shell: Shell, typed: MachineInUnits, *, has_tables: bool) -> tuple[Any, list[Part]]:
+    unit, scale, convergence = typed.unit, typed.unit.per_metre**3, shell.convergence
+    content, lines = _of_mesh(shell, shell.volume, shell.volume_error, typed)
+    content |= {"resolution": shell.resolution, "euler_characteristic": shell.euler_characteristic}
+    content["convergence"] = [
+        {"resolution": n, "volume": value * scale, "short": (convergence.limit - value) * scale}
+        for n, value in zip(convergence.resolutions, convergence.volumes, strict=True)
+    ]
+    content["patches"] = patches = [
+        {
+            "name": patch.name,
+            "settings": {leg: setting.value for leg, setting in zip(LEGS, patch.settings, strict=True)},
+            "area": patch.area * unit.per_metre**2,
+            "family": patch.family,
+        }
+        for patch in shell.patches
+    ]
+    settings: dict[str, Any] = {leg: lambda row, leg=leg: row["settings"][leg] for leg in LEGS}
+    columns: dict[str, Any] = {
+        "patch": itemgetter("name"),
+        **settings,
+        "area": lambda row: outputs.significant(row["area"]),
     }
-    rows = zip(convergence.resolutions, convergence.volumes, strict=True)
-    return [patches, Table(f"The volume as the mesh gets finer, in {unit}³", columns, rows)]
-
-
-def _remarks(shell: Shell, typed: MachineInUnits) -> list[str]:
+    title = f"The surfaces: leg settings, area in {unit}²"
+    surfaces = Table(title, columns, patches, left=LEGS, group=itemgetter("family"))
+    columns = {
+        "increments": lambda row: str(row["resolution"]),
+        "volume": lambda row: outputs.significant(row["volume"], digits=8),
+        "short of the limit by": lambda row: outputs.significant(row["short"], digits=2),
+    }
+    volumes = Table(f"The volume as the mesh gets finer, in {unit}³", columns, content["convergence"])
     vertices, faces = len(shell.vertices), len(shell.faces)
     edges = vertices + faces - shell.euler_characteristic
-    return [
-        *_measure_lines(shell, shell.volume, shell.volume_error, typed),
-        f"order of convergence {shell.convergence.order:.3f}",
-        f"V - E + F = {vertices} - {edges} + {faces} = {shell.euler_characteristic}",
-        "misprints read: " + ", ".join(f"{leg} of {name}" for name, leg in ERRATA),
-    ]
-
-
-def _content(shell: Shell, typed: MachineInUnits) -> dict[str, Any]:
-    unit = typed.unit
-    return _measures(shell, shell.volume, shell.volume_error, typed) | {
-        "resolution": shell.resolution,
-        "euler_characteristic": shell.euler_characteristic,
-        "convergence": [
-            {"resolution": n, "volume": value * unit.per_metre**3}
-            for n, value in zip(shell.convergence.resolutions, shell.convergence.volumes, strict=True)
-        ],
-        "patches": [
-            {
-                "name": patch.name,
-                "settings": {leg: setting.value for leg, setting in zip(LEGS, patch.settings, strict=True)},
-                "area": patch.area * unit.per_metre**2,
-            }
-            for patch in shell.patches
-        ],
-    }
+    lines.append(f"order of convergence {convergence.order:.3f}")
+    lines.append(f"V - E + F = {vertices} - {edges} + {faces} = {shell.euler_characteristic}")
+    lines.append("misprints read: " + ", ".join(f"{leg} of {name}" for name, leg in ERRATA))
+    return content, [*([surfaces, volumes] if has_tables else []), *lines]
 
 
 def reach(
     typed: MachineInUnits,
-    height: Annotated[
-        list[float] | None,
-        Option(metavar="LENGTH", help="Height of the platform's centre, in --unit; may be repeated; default: nine."),
+    heights: Annotated[
+        list[float] | None, Option("--height", metavar="LENGTH", help="In --unit; repeatable; default: nine heights.")
     ] = None,
     directions: Annotated[int, Option(metavar="N", help="Number of directions of the largest tilt.")] = 72,
-    out: Annotated[Path | None, outputs.picture_option("Picture of the largest tilts to write.")] = None,
+    out: Picture = None,
 ) -> Report:
     """Compute how far a stage's platform tilts at each height and in each direction, and what limits the tilt.
 
     Example: spm-pin stage reach --base 80 --platform 90 --crank 50 --rod 110 --limits -35 70 --unit mm --out reach.png
     """
     stage, unit = typed.machine, typed.unit
-    heights = None if height is None else np.array(height) / unit.per_metre
-    found = largest_tilts(stage, heights, directions=directions)
+    levels = None if heights is None else np.array(heights) / unit.per_metre
+    found = largest_tilts(stage, levels, directions=directions)
     records = [
         {
             "height": level * unit.per_metre,

@@ -12,13 +12,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from spm_pin.crosscheck.paper import published
 from spm_pin.errors import ArgumentError, GeometryError, SelectionError
 from spm_pin.kinematics.forward_displacement import forward_physical
-from spm_pin.kinematics.singularity_analysis import determinants
 from spm_pin.machine import LEGS, Configuration, LegLimits, Manipulator
 from spm_pin.machine.manipulator import check_rps
 from spm_pin.support.arguments import FloatArray, IntArray, first_offender, frozen, type_and_value, whole_number
@@ -27,8 +24,6 @@ from spm_pin.workspace.state_set import finite_limits
 
 FINEST = 2000
 """Increments of a varying leg, at most: 24 surfaces of four million vertices."""
-_AT_A_LIMIT = 0.35
-"""Share of the legs that `sample_positions_near_limits` draws at a limit."""
 
 SENSES = (1, -1, 1, -1, 1, 1, -1, 1, 1, -1, -1, 1, 1, -1, -1, 1, 1, -1, 1, -1, -1, 1, -1, -1)
 """Senses in which the outlines of the surfaces are gone round: neighbours run along their edge in opposite ones.
@@ -266,28 +261,3 @@ def _lofted(grid: IntArray, sign: int) -> IntArray:
     near, far, across, along = grid[:-1, :-1], grid[1:, 1:], grid[1:, :-1], grid[:-1, 1:]
     triangles = np.stack([near, across, far, near, far, along], axis=-1).reshape(-1, 3)
     return triangles[:, ::sign]
-
-
-def sample_positions_near_limits(
-    machine: Manipulator, limits: LegLimits, *, count: int, seed: int = 0
-) -> tuple[FloatArray, npt.NDArray[np.int8]]:
-    """Draw leg lengths at limits or near them; return positions of o (N, 3) [m] and the sign of det K (N,) there.
-
-    Drawn evenly, leg lengths seldom put the platform near the boundary of what it can reach. Of `count` sets of leg
-    lengths within positive and finite limits. If the limits are the same for the legs of a stage, each gives six
-    positions: it stands for its images under the symmetries of the machine as well.
-    """
-    low, high = limits.ends
-    rng = np.random.default_rng(seed)
-    share = np.sin(0.5 * np.pi * rng.random((count, 6))) ** 2
-    share = np.where(rng.random(share.shape) < _AT_A_LIMIT, share.round(), share)
-    states = forward_physical(machine, (1.0 - share) * low + share * high)
-    states = states[states.exists]
-    positions, aspect = states.translation, np.sign(determinants(states)[:, 2]).astype(np.int8)
-    if all(len(set(ends)) == 1 for ends in (low[:3], low[3:], high[:3], high[3:])):
-        # A mirror changes the sign of det K, turns by 0, 120 and 240 degrees do not.
-        positions = np.concatenate([positions, positions * [-1.0, 1.0, 1.0]])
-        aspect = np.tile(np.concatenate([aspect, -aspect]), 3)
-        turns = Rotation.from_euler("z", [[0.0], [120.0], [240.0]], degrees=True)
-        positions = np.concatenate([turn.apply(positions) for turn in turns])
-    return positions, aspect

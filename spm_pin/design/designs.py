@@ -17,7 +17,7 @@ import numpy as np
 
 from spm_pin.design.task import Task
 from spm_pin.errors import ArgumentError, GeometryError, require_extra
-from spm_pin.kinematics.stage_rates import tilt_densities
+from spm_pin.kinematics.rates_and_forces import tilt_densities
 from spm_pin.machine import Manipulator, Stage
 from spm_pin.machine.leg_kinds import KINDS
 from spm_pin.machine.machine import Machine, check_machine, likely_unit

@@ -18,14 +18,14 @@ if TYPE_CHECKING:
         reach_figure,
     )
     from spm_pin.display.plots import draw, draw_capability, save_gallery, save_picture
-    from spm_pin.display.shell_plots import draw_shell, save_mesh, sections_figure, shell_figure
+    from spm_pin.display.shell_plots import draw_shell, save_mesh, shell_figure
     from spm_pin.display.viewer import Playback, Recording, Viewer, read_recording
     from spm_pin.display.writing import save_figure
 
 __all__ = ["agreement_figure", "calibration_figure", "certificate_figure", "front_figure", "motion_figure"]
 __all__ += ["path_figure", "reach_figure"]
 __all__ += ["draw", "draw_capability", "save_gallery", "save_picture"]
-__all__ += ["draw_shell", "save_mesh", "sections_figure", "shell_figure"]
+__all__ += ["draw_shell", "save_mesh", "shell_figure"]
 __all__ += ["Playback", "Recording", "Viewer", "read_recording", "save_figure"]
 
 # Imported on first use: the rooms behind a figure take a moment to import.
@@ -33,7 +33,7 @@ _HOMES = {
     "figures": "agreement_figure calibration_figure certificate_figure front_figure motion_figure path_figure "
     "reach_figure",
     "plots": "draw draw_capability save_gallery save_picture",
-    "shell_plots": "draw_shell save_mesh sections_figure shell_figure",
+    "shell_plots": "draw_shell save_mesh shell_figure",
     "viewer": "Playback Recording Viewer read_recording",
     "writing": "save_figure",
 }

@@ -1,4 +1,4 @@
-"""Pictures and meshes of the workspace: the reachable set, and the paper's 24 surfaces, Fig. 2 and sections."""
+"""Pictures and meshes of the workspace: the reachable set, and the paper's 24 surfaces, Fig. 2."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from spm_pin.display.plots import INK, draw_solids
 from spm_pin.display.rendering import VIEW, Colour, Rendering, Solid, camera_axes
 from spm_pin.display.writing import legend_below, new_figure, write_name
 from spm_pin.errors import ArgumentError, require_extra
-from spm_pin.support.arguments import FloatArray, check_instance, type_and_value
+from spm_pin.support.arguments import type_and_value
 from spm_pin.support.files import file_path, write_files
 from spm_pin.workspace.boundary import Boundary
 
@@ -46,9 +46,6 @@ _MAKE = "Make one with workspace.reachable_boundary(machine) or crosscheck.works
 _EDGE = 0.6  # width of edges in points
 _FONT = 9.0
 _Y_UP = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
-_FILL = {"det K < 0": "#C9DCF0", "det K > 0": "#F3DCCB", "either sign": "#8681A8"}
-"""Colours of cells reached on one side of an inverse singularity, on the other, and on both."""
-_GAP = 3  # cells: larger gaps in a sample are not filled
 
 
 class _Part(NamedTuple):
@@ -96,13 +93,6 @@ def draw_shell(
     return ax
 
 
-def _style_axes(ax: Axes, x: str, y: str) -> None:
-    ax.set_xlabel(x, fontsize=8.0)
-    ax.set_ylabel(y, fontsize=8.0)
-    ax.tick_params(labelsize=8.0)
-    ax.spines[["top", "right"]].set_visible(False)
-
-
 def _as_tex(name: str) -> str:
     return f"${name[0]}_{{{name[1:]}}}$"
 
@@ -134,7 +124,10 @@ def shell_figure(shell: Shell | Boundary, *, dpi: float = 200.0) -> Figure:
         draw_shell(shell, ax=ax, view=view, dpi=dpi)
         ax.set_title(f"({letter}) {name}", fontsize=10.0)
         if name in upwards:
-            _style_axes(ax, "X [m]", f"{upwards[name]} [m]")
+            ax.set_xlabel("X [m]", fontsize=8.0)
+            ax.set_ylabel(f"{upwards[name]} [m]", fontsize=8.0)
+            ax.tick_params(labelsize=8.0)
+            ax.spines[["top", "right"]].set_visible(False)
         else:
             ax.axis("off")
     if isinstance(shell, Boundary):
@@ -177,121 +170,3 @@ def save_mesh(shell: Shell | Boundary, path: str | Path) -> Path:
         content = mesh.export(file_type=kind)
     write_files({path: cast("str | bytes", content)})
     return path
-
-
-class Plane(NamedTuple):
-    """A cutting plane."""
-
-    name: str  # title of its picture
-    origin: FloatArray  # a point of the plane in {B} [m], the origin of the picture
-    axes: FloatArray  # unit vectors to the right and upwards in the picture, as rows (2, 3) in {B}
-    labels: tuple[str, str]  # of the two axes of the picture
-
-    @classmethod
-    def level(cls, height: float) -> Plane:
-        """Return the plane Z = height [m]."""
-        return cls(f"Z = {height:g} m", np.array([0.0, 0.0, height]), np.eye(3)[:2], ("X [m]", "Y [m]"))
-
-    @classmethod
-    def upright(cls, azimuth: float) -> Plane:
-        """Return the plane through the Z axis and the horizontal direction of an azimuth [rad]."""
-        degrees = f"{math.degrees(azimuth):g}°"
-        axes = np.array([[math.cos(azimuth), math.sin(azimuth), 0.0], [0.0, 0.0, 1.0]])
-        return cls(f"upright, azimuth {degrees}", np.zeros(3), axes, (f"along azimuth {degrees} [m]", "Z [m]"))
-
-    @property
-    def normal(self) -> FloatArray:
-        """Unit normal in {B}, shape (3,)."""
-        return np.cross(*self.axes)
-
-    def project(self, points: FloatArray) -> FloatArray:
-        """Return coordinates (..., 2) in the picture [m] of points (..., 3) in {B}."""
-        return np.asarray((points - self.origin) @ self.axes.T)
-
-
-def draw_section(
-    ax: Axes, shell: Shell, plane: Plane, reached: FloatArray, aspect: npt.NDArray[np.int8], cell: float = 0.02
-) -> None:
-    """Draw a section of a shell into axes, in the colours of its families, and of the reachable set.
-
-    `reached` are positions of o (N, 3) [m], `aspect` the signs (N,) of det K there. Cells of the size `cell` [m] are
-    filled that have a position nearer to the plane than half of it; those reached on both sides of an inverse
-    singularity are darker.
-    """
-    from matplotlib.collections import LineCollection
-    from trimesh.intersections import mesh_plane
-
-    near = np.abs((reached - plane.origin) @ plane.normal) < cell / 2.0
-    flat, signs = plane.project(reached[near]), aspect[near]
-    segments, faces = mesh_plane(shell.mesh, plane.normal, plane.origin, return_faces=True)
-    outline = plane.project(np.asarray(segments).reshape(-1, 2, 3))
-    everything = np.concatenate([flat, outline.reshape(-1, 2)])
-    if not len(everything):
-        raise ArgumentError("plane", "a plane through the shell", plane.name, "Is it in metres?")
-    if len(flat):
-        _fill(ax, flat, signs, cell)
-    families = np.repeat([patch.family for patch in shell.patches], [len(patch.faces) for patch in shell.patches])
-    colours = [FAMILY_COLOURS[family] for family in families[faces]]
-    ax.add_collection(LineCollection(list(outline), colors=colours, linewidths=2.0, capstyle="round"))
-    low, high = everything.min(axis=0), everything.max(axis=0)
-    margin = 0.05 * float((high - low).max())
-    ax.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin), aspect="equal")
-    ax.set_title(plane.name, fontsize=10.0)
-    _style_axes(ax, *plane.labels)
-
-
-def _fill(ax: Axes, points: FloatArray, signs: npt.NDArray[np.int8], cell: float) -> None:
-    """Fill the cells of the plane that contain points (n, 2)."""
-    from matplotlib.colors import ListedColormap
-
-    low, high = np.floor(points.min(axis=0) / cell), np.floor(points.max(axis=0) / cell) + 1.0
-    edges = [cell * np.arange(low[k], high[k] + 1.0) for k in (0, 1)]
-    negative, positive = (
-        np.histogram2d(points[chosen, 0], points[chosen, 1], edges)[0].T > 0.0 for chosen in (signs < 0, signs >= 0)
-    )
-    known = negative | positive
-    kind = np.select([negative & positive, positive], [2, 1], 0)
-    # Gaps of a few cells in a random sample are filled like the nearest cell.
-    gaps, _ = ndimage.label(~known)
-    small = (gaps > 0) & (np.bincount(gaps.ravel()) <= _GAP)[gaps]
-    like = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
-    ax.imshow(
-        np.ma.masked_where(~(known | small), kind[tuple(like)]),
-        extent=(edges[0][0], edges[0][-1], edges[1][0], edges[1][-1]),
-        origin="lower",
-        cmap=ListedColormap(list(_FILL.values())),
-        vmin=0,
-        vmax=2,
-        interpolation="nearest",
-    )
-
-
-def sections_figure(shell: Shell, reached: FloatArray, aspect: npt.NDArray[np.int8]) -> Figure:
-    """Draw three level sections of a shell and two upright ones, and of the reachable set, with a legend.
-
-    `reached` and `aspect` are those of `draw_section`.
-    """
-    check_instance(shell, Shell, "shell", _MAKE)
-    bottom, top = float(shell.vertices[:, 2].min()), float(shell.vertices[:, 2].max())
-    heights = [float(f"{bottom + share * (top - bottom):.2g}") for share in (0.21, 0.36, 0.65)]
-    planes = [*map(Plane.level, heights), Plane.upright(0.0), Plane.upright(0.5 * math.pi)]
-    figure = new_figure(10.2, 6.0, layout="constrained")
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch as Swatch
-
-    *panels, last = figure.subplots(2, 3).ravel()
-    for ax, plane in zip(panels, planes, strict=True):
-        draw_section(ax, shell, plane, reached, aspect)
-    # Rows as high as their contents.
-    shapes = [np.ptp(ax.get_ylim()) / np.ptp(ax.get_xlim()) for ax in panels]
-    rows = 2.8 * np.array([max(shapes[:3]), max(shapes[3:])])
-    last.get_gridspec().set_height_ratios(rows + 0.5)
-    figure.set_size_inches(10.2, float(rows.sum()) + 1.7)
-    handles: list[Line2D | Swatch] = [
-        Line2D([], [], color=colour, linewidth=2.0, label=f"shell, {_as_tex(family)}")
-        for family, colour in FAMILY_COLOURS.items()
-    ]
-    handles += [Swatch(facecolor=colour, label=f"reached, {sign}") for sign, colour in _FILL.items()]
-    last.axis("off")
-    last.legend(handles=handles, loc="center", frameon=False, fontsize=9.0)
-    return figure

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from spm_pin.errors import require_extra
+from spm_pin.support.arguments import check_instance
 from spm_pin.support.files import file_path, write_files
 
 if TYPE_CHECKING:
@@ -68,7 +69,11 @@ def save_figure(figure: Figure, path: str | Path, *, dpi: float = 150.0) -> Path
     Vector formats contain lines as lines and labels as TrueType text; shaded areas are one image with `dpi`.
     """
     path = file_path(path, suffixes=FORMATS)
+    require_extra("plots", "matplotlib")
     from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
+    check_instance(figure, Figure, "figure", "That of axes is ax.figure")
 
     # Without the date, and with names that do not change from run to run; text as TrueType, not as outlines.
     metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix.lower())

@@ -250,7 +250,7 @@ def _formulas(machine: Manipulator) -> str:
     add("limits_hold", [readings], ca.vertcat(*functions.within_limits(symbolic, readings)))
     # Errors of the closure: size of terms of second order, and motion of the upper legs' planes.
     error = functions.closure_equations(symbolic, balls, rotation, position)
-    points = [symbolic.planes[i].point(balls[2 * i : 2 * i + 2]) for i in range(3)]
+    points = functions.lower_balls(symbolic, balls)
     upper, weights = symbolic.all_balls(points)[3:], [[ca.fabs(x) for x in w] for w in symbolic.ball_weights()]
     arms = ca.norm_2(points[1] - points[0]) + ca.norm_2(points[2] - points[0])
     curvature = ca.vertcat(*(2.0 / s for s in symbolic.sides()), *(4.0 * w for _, _, w in weights))
@@ -268,9 +268,8 @@ def _formulas(machine: Manipulator) -> str:
     seen = ca.vertcat(*state.own_balls()[1])
     add("own_places", [joints, *pose], state.in_planes(), seen, gap)
     add("describe", [joints, *pose], state.readings, *functions.preference(symbolic, state))
-    add("own_limits", [joints, *pose], state.reach, state.least_slope(state.slopes))
-    slopes = state.slopes_at(ca.vertsplit(readings - symbolic.offsets))
-    add("working_mode", [joints, *pose, readings], state.least_slope(slopes))
+    add("own_limits", [joints, *pose], state.reach, state.least_slope(state.readings))
+    add("working_mode", [joints, *pose, readings], state.least_slope(readings))
     forces = [state.force_rows(x) for x in (state.directions, state.axes)]
     add("force_rows", [joints, *pose], *forces)
 
@@ -294,7 +293,7 @@ def _formulas(machine: Manipulator) -> str:
         sides = in_casadi(circles.squared_sides)([parts(x) for x in b])
         areas.append(ca.norm_2(ca.cross(b[1] - b[0], b[2] - b[0])) / ca.mmax(ca.vertcat(*sides)))
     add("numbers_of_machine", [], ca.vertcat(*areas), symbolic.valid)
-    size, pairs = symbolic.base + symbolic.platform + symbolic.side, []
+    size, pairs = sum(symbolic.radii) + symbolic.side, []
     for name, unit in (("axes", 1.0), ("pivots", size), ("balls", size)):
         pairs += [(a - b) / unit for a, b in zip(getattr(symbolic, name), getattr(drawing, name), strict=True)]
     error = ca.mmax(ca.fabs(ca.vertcat(*pairs)))

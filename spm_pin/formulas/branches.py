@@ -25,11 +25,9 @@ from spm_pin.formulas.vectors import (
     magnitude,
     minus,
     scaled,
-    times,
     transposed,
     turned,
 )
-from spm_pin.formulas.wrenches import is_stage_at_home
 
 Complex = tuple[float, float]
 Quaternion = tuple[float, float, float, float]
@@ -292,32 +290,6 @@ def stands_at_home(
     upright = both(both(lower_sum > 0.0, upper_sum > 0.0), outer)
     aspects = both(in_home_aspect(radii, heights, base_radius), in_home_aspect(upper, below, platform_radius))
     return both(upright, aspects), lower_sum + upper_sum
-
-
-def is_upright(b: Rows, lower: Rows, upper: Rows, rotation: Rows, position: Vector) -> bool:
-    """Return whether both stages of any machine are in mode T, with balls on the outer side of their circles' centres.
-
-    Arguments are as for `is_physical`.
-    """
-    identity = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
-    (p1, p2, p3), _ = seen_from_platform(b, identity, (0.0, 0.0, 0.0))
-    (q1, q2, q3), _ = seen_from_platform(b, rotation, position)
-    z1, z2, z3 = times(upper, (rotation[0][2], rotation[1][2], rotation[2][2]))
-    outer = both(lower[0][2] + lower[1][2] + lower[2][2] > 0.0, z1 + z2 + z3 > 0.0)
-    return both(both(p1 + p2 + p3 > 0.0, q1 + q2 + q3 > 0.0), outer)
-
-
-def is_physical(
-    b: Rows, c: Rows, lower: Rows, upper: Rows, axes: Rows, upper_axes: Rows, rotation: Rows, position: Vector
-) -> bool:
-    """Return whether a state of any machine is physical, without regard to leg limits.
-
-    Both stages are upright and in their home assembly regions. b and c are the balls of the lower and upper legs;
-    `lower` and `upper` are vectors from circles' centres to lower balls, and from upper balls to circles' centres, in
-    {B}; those of a stage that hangs are reversed.
-    """
-    aspects = both(is_stage_at_home(b, lower, axes), is_stage_at_home(c, upper, upper_axes))
-    return both(is_upright(b, lower, upper, rotation, position), aspects)
 
 
 def tilt_cosine_sum(b: Rows, rotation: Rows) -> float:

@@ -73,13 +73,6 @@ def circles_between(start: Circles, end: Circles, share: float) -> Circles:
     return Circles(end.axes, centres, radii, combined(start.squares, share, minus(end.squares, start.squares)))
 
 
-def stage_between(start: Circles, end: Circles, share: float) -> Circles:
-    """Return the circles at a fraction, 0 to 1, of the way between those of two stages, whose axes may differ."""
-    circles = circles_between(start, end, share)
-    axes = directions(combinations(start.axes, (share, share, share), differences(end.axes, start.axes)))
-    return Circles(axes, circles.centres, circles.radii, circles.squares)
-
-
 def level_balls(stage: Circles, corners: Rows, up: float) -> Rows:
     """Return the balls of a level platform at its height for legs of mean length, the start of a search.
 
@@ -213,10 +206,18 @@ def largest_change(start: Circles, end: Circles) -> float:
     return largest(minus(end.radii, start.radii)) + largest(_roots(dots(centres, centres)))
 
 
-def is_home_state(stage: Circles, e: Rows, b: Rows, up: float) -> bool:
-    """Return whether a stage is upright, without torsion and in its home assembly region; up as for `level_balls`."""
-    stands = both(mean_radius(b) > 0.0, up * (mean(b)[2] - mean(stage.centres)[2]) > 0.0)
-    return both(stands, is_stage_at_home(b, (scaled(up, e[0]), scaled(up, e[1]), scaled(up, e[2])), stage.axes))
+def is_upright(b: Rows, centres: Rows, up: float) -> bool:
+    """Return whether a stage has no torsion, and its balls are on the outer side of the circles' centres."""
+    return both(mean_radius(b) > 0.0, up * (mean(b)[2] - mean(centres)[2]) > 0.0)
+
+
+def is_home_state(b: Rows, centres: Rows, axes: Rows, up: float) -> bool:
+    """Return whether a stage is upright and in its home assembly region: physical, without regard to leg limits.
+
+    Balls, circles' centres and axes are in the frame of the legs' plate; `up` is as for `level_balls`.
+    """
+    legs = multiples((up, up, up), differences(b, centres))
+    return both(is_upright(b, centres, up), is_stage_at_home(b, legs, axes))
 
 
 class PairForm(NamedTuple):

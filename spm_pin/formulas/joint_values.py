@@ -10,9 +10,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from spm_pin.formulas.leg_constants import AXES, INFINITY, TANGENT_SIGNS, UP, leg_axes
-from spm_pin.formulas.leg_planes import StageLegs
 from spm_pin.formulas.operations import both, sqrt, where
 from spm_pin.formulas.planar_legs import Circle, Numbers
+from spm_pin.formulas.stage_numbers import StageNumbers
 from spm_pin.formulas.vectors import Rows, Vector, combined, cross, direction, dot, minus, times, weighted
 
 Angle = tuple[float, float]
@@ -104,40 +104,37 @@ def leg_frame(
 
 
 def stage_frames(
-    legs: StageLegs,
+    stage: StageNumbers,
     own_axes: Rows,
-    triangles: tuple[float, float],
+    radii: tuple[float, float],
     limits: tuple[float, float],
-    middles: Vector,
-    numbers: tuple[tuple[Numbers, Numbers, Numbers], tuple[Numbers, Numbers, Numbers]],
+    drawn: tuple[Numbers, Numbers, Numbers],
     up: float,
     kind: Any,
 ) -> tuple[LegFrame, LegFrame, LegFrame]:
     """Return the constants of a stage's legs.
 
-    `triangles` are the radii of the platform of the legs and of the balls, and `limits` those that the legs share;
-    `middles` are those of `planar_legs.crank_middle`, and `numbers` those of the drawing, in the legs' own working
-    modes, and the legs' own.
+    `radii` are those of the platform of the legs and of the balls, and `limits` those that the legs share; `drawn` are
+    the numbers of the drawing, in the legs' own working modes.
     """
-    radius, r = triangles
-    home = leg_home(r - radius, r + radius, limits, kind.largest_slope(numbers[0][0]), numbers[0][0], kind)
+    radius, r = radii
+    home = leg_home(r - radius, r + radius, limits, kind.largest_slope(drawn[0]), drawn[0], kind)
     return (
-        _frame_at(home, 0, legs, own_axes, middles, numbers, up, kind),
-        _frame_at(home, 1, legs, own_axes, middles, numbers, up, kind),
-        _frame_at(home, 2, legs, own_axes, middles, numbers, up, kind),
+        _frame_at(home, 0, stage, own_axes, drawn, up, kind),
+        _frame_at(home, 1, stage, own_axes, drawn, up, kind),
+        _frame_at(home, 2, stage, own_axes, drawn, up, kind),
     )
 
 
 def _frame_at(
-    home: LegHome, leg: int, legs: StageLegs, own_axes: Rows, middles: Vector, numbers: Any, up: float, kind: Any
+    home: LegHome, leg: int, stage: StageNumbers, own_axes: Rows, drawn: Any, up: float, kind: Any
 ) -> LegFrame:
     """Return the constants of a leg; in the other working mode the ball is in the same place at another reading."""
-    drawn, own = numbers[0][leg], numbers[1][leg]
-    has_mode = kind.largest_slope(drawn) * kind.largest_slope(numbers[0][0]) > 0.0
-    middle, placement = middles[leg], (legs.axes[leg], legs.pivots[leg])
-    at_home = LegHome(where(has_mode, home.reading, kind.reading(home.x, home.z, middle, drawn)), home.x, home.z)
-    signs = TANGENT_SIGNS[leg], up
-    return leg_frame(placement, AXES[leg], own_axes, signs, at_home, middle, (drawn, own), kind)
+    has_mode = kind.largest_slope(drawn[leg]) * kind.largest_slope(drawn[0]) > 0.0
+    middle, placement = stage.middles[leg], (stage.axes[leg], stage.pivots[leg])
+    at_home = LegHome(where(has_mode, home.reading, kind.reading(home.x, home.z, middle, drawn[leg])), home.x, home.z)
+    signs, numbers = (TANGENT_SIGNS[leg], up), (drawn[leg], stage.numbers[leg])
+    return leg_frame(placement, AXES[leg], own_axes, signs, at_home, middle, numbers, kind)
 
 
 def leg_values(ball: Vector, leg: LegFrame, kind: Any) -> LegValues:

@@ -129,6 +129,21 @@ def platform_balls(rotation: Rows, position: Vector, balls: Rows) -> Rows:
     return shifted(turned(rotation, balls), position)
 
 
+def pose_of_tilt(
+    normal: Vector, least_rise: float, height: float, stage: StageConstants
+) -> tuple[Rows, Vector, Rows, bool]:
+    """Return rotation, position and balls in {B} of mode T for a normal of any length, and whether they exist.
+
+    `least_rise` is that of `unit_normal`.
+    """
+    unit, is_normal = unit_normal(normal, least_rise)
+    turn = shortest_turn(unit)
+    equation = torsion_equation(turn, height, stage)
+    rotation, position = pose_in_mode(1.0, turn, height, equation, stage)
+    exists = both(is_normal, discriminant(equation) >= 0.0)
+    return rotation, position, platform_balls(rotation, position, stage.balls), exists
+
+
 def parasitic_rates(axes: Rows, b: Rows, o: Vector, motion: Vector) -> tuple[Vector, Vector]:
     """Return the platform's twist (v, ω) at o from `motion`, its v_z, ω_x, ω_y; the legs' planes give v_x, v_y, ω_z.
 

@@ -11,17 +11,22 @@ from spm_pin.kinematics.inverse_displacement import (
 )
 from spm_pin.kinematics.path_following import follow
 from spm_pin.kinematics.rates_and_forces import (
+    MOTION,
+    JointLoads,
     PrincipalStiffness,
     compliance,
     inverse_jacobian,
+    joint_loads,
     leg_forces,
     leg_rates,
+    parasitic_jacobian,
     platform_jacobian,
     principal_stiffness,
     stiffness,
 )
 from spm_pin.kinematics.singularity_analysis import (
     Singularities,
+    StageSingularities,
     determinant_gradients,
     determinants,
     singular_values,
@@ -29,7 +34,6 @@ from spm_pin.kinematics.singularity_analysis import (
 )
 from spm_pin.kinematics.singularity_kinds import SingularityKind
 from spm_pin.kinematics.stage_balls import STAGE_MODES
-from spm_pin.kinematics.stage_rates import MOTION, JointLoads, StageSingularities, joint_loads, parasitic_jacobian
 from spm_pin.kinematics.tracking import CertifiedLimits, Event, EventKind, FollowedPath
 
 __all__ = [

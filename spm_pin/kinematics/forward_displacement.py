@@ -16,14 +16,14 @@ import numpy.typing as npt
 from spm_pin.errors import ArgumentError
 from spm_pin.kinematics.batches import flat_batch, run_kernel, with_batch_shape
 from spm_pin.kinematics.readings import read_readings
-from spm_pin.kinematics.stage_balls import STAGE_MODES, Modes, NominalStage, all_modes, followed_balls, physical_balls
+from spm_pin.kinematics.stage_balls import STAGE_MODES, Modes, all_modes, followed_balls, physical_balls
 from spm_pin.machine.configuration import Configuration, check_configuration
 from spm_pin.machine.joint_angles import homes
 from spm_pin.machine.machine import Machine, unit_hint
 from spm_pin.machine.manipulator import Manipulator, check_same_machine
 from spm_pin.machine.solutions import Degeneracy, SolutionSet, Status
 from spm_pin.machine.stage import Stage
-from spm_pin.support.arguments import FloatArray, IntArray, broadcastable
+from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, broadcastable
 
 ASSEMBLY_MODES = tuple(f"{lower}/{upper}" for lower in STAGE_MODES for upper in STAGE_MODES)
 """Canonical order of the 256 assembly modes of the manipulator: the lower stage's, then the upper stage's."""
@@ -57,15 +57,12 @@ def forward_displacement(machine: Manipulator | Stage, readings: npt.ArrayLike) 
         a family, with legs shorter than a thousandth of the middle platform, and in a calibrated machine beside a
         forward singularity or with legs of fifty times its sides.
 
-        For a calibrated manipulator labels are tracked from the nominal machine with the same readings while the errors
-        grow. `.merged` (..., 256) is true if the tracked mode has met another one, and for remaining labels. Numbers of
-        modes are arbitrary for legs that are not RPS, and for a calibrated stage.
-
     Notes
     -----
     A stage's modes are named T (no torsion) or F (turned by half a turn) and numbered by decreasing mean radius of the
     middle joints about the stage's own axis, so T1 is tilted least; + is the sheet on which the middle platform
-    is above the base, or below the terminal platform, - its mirror image. Two modes that coincide to rounding,
+    is above the base, or below the terminal platform, - its mirror image. In machines that are not nominal or have
+    other legs than RPS a fifth one of a mode and sheet takes a label that is left. Two modes that coincide to rounding,
     at a forward singularity, count once. A problem takes 43 kB: divide large batches.
 
     Examples
@@ -78,50 +75,39 @@ def forward_displacement(machine: Manipulator | Stage, readings: npt.ArrayLike) 
     <SolutionSet: ok, 12 of 16 real: T1+, T1-, T2+, T2-, T3+, T3-, T4+, T4-, …>
     """
     read = read_readings(machine, readings)
-    legs = machine.legs.stages
-    columns = np.moveaxis(read.reshape(-1, len(legs), 3), 1, 0)
-    solved = [all_modes(*stage) for stage in zip(legs, columns, _nominal_stages(machine), strict=True)]
-    modes_of: Any = _modes_of_stage if machine.is_stage else _modes_of_manipulator
-    modes: SolutionSet = modes_of(machine, read, *solved)
-    return modes
+    shape, stages = read.shape[:-1], all_modes(machine, read.reshape(-1, read.shape[-1]))
+    statuses = np.stack([stage.status for stage in stages])
+    # If one stage cannot be closed there is no solution.
+    is_absent = (statuses == Status.UNREACHABLE).any(axis=0)
+    status = np.where(is_absent, Status.UNREACHABLE, statuses.max(axis=0)).astype(np.int8)
+    if machine.is_stage:
+        labels, families = STAGE_MODES, stages[0].continuous
+        states = _joined(machine, (*shape, len(labels)), stages[0].balls, read[..., None, :])
+    else:
+        (below, above), is_solved = stages, status == Status.OK
+        labels, families = ASSEMBLY_MODES, _continuous_families(below, above) * is_solved[:, None]
+        states = _pairs_of_modes(machine, shape, below, above, is_solved)
+    free = families.max(axis=-1)
+    status[(status == Status.OK) & (free == 0) & ~states.exists.any(axis=-1).ravel()] = Status.UNREACHABLE
+    status[(status == Status.OK) & (free > 0)] = Status.DEGENERATE
+    free, families, status = with_batch_shape((free, families, status), shape)
+    if not shape and status == Status.UNREACHABLE:
+        states.missing_reason = unit_hint(machine, _lengths(machine, read))
+    legs = np.zeros((*shape, 3), dtype=np.bool_)
+    degeneracy = None if machine.is_stage else Degeneracy(np.asarray(free), families > 0, legs)
+    return SolutionSet(states, labels, status, degeneracy=degeneracy)
 
 
-def _modes_of_stage(stage: Stage, readings: FloatArray, modes: Modes) -> SolutionSet:
-    shape = readings.shape[:-1]
-    states = _joined(stage, (*shape, len(STAGE_MODES)), modes.balls, readings[..., None, :])
-    status, continuous = modes.status.reshape(shape), modes.continuous.any(axis=-1).reshape(shape)
-    status[continuous & (status == Status.OK)] = Status.DEGENERATE
-    status[(status == Status.OK) & ~states.exists.any(axis=-1)] = Status.UNREACHABLE
-    return SolutionSet(states, STAGE_MODES, status)
-
-
-def _modes_of_manipulator(machine: Manipulator, readings: FloatArray, below: Modes, above: Modes) -> SolutionSet:
+def _pairs_of_modes(
+    machine: Machine, shape: tuple[int, ...], below: Modes, above: Modes, is_solved: BoolArray
+) -> Configuration:
+    """Return the states (..., 256) of each lower mode with each upper one, NaN where it is not `is_solved` (N,)."""
     from spm_pin.kinematics.kernels.circle_modes import join_modes
 
-    legs, shape, n = machine.legs, readings.shape[:-1], len(ASSEMBLY_MODES)
-    # If one stage cannot be closed there is no solution.
-    is_absent = (below.status == Status.UNREACHABLE) | (above.status == Status.UNREACHABLE)
-    status = np.where(is_absent, Status.UNREACHABLE, np.maximum(below.status, above.status)).astype(np.int8)
-    is_solved = status == Status.OK
-    upper = np.where(is_solved[:, None, None, None], above.balls, np.nan)
+    upper, n = np.where(is_solved[:, None, None, None], above.balls, np.nan), len(ASSEMBLY_MODES)
     results = ((n, 3, 3), np.float64), ((n, 3), np.float64), ((n, 3, 3), np.float64)
-    solved = run_kernel(join_modes, (below.balls, upper), (legs.balls,), results, _MIN_BATCH_PER_THREAD)
-    merged = (below.merged[:, :, None] | above.merged[:, None]).reshape(-1, n) & (status != Status.UNSOLVED)[:, None]
-    families = _continuous_families(below, above) * is_solved[:, None]
-    if not legs.are_rps:
-        status[(status == Status.OK) & np.isnan(solved[2][..., 0, 0]).all(axis=-1)] = Status.UNREACHABLE
-    *state, merged, families, status = with_batch_shape((*solved, merged, families, status), shape)
-    largest = np.asarray(families.max(axis=-1))
-    modes = Configuration.from_arrays(machine, *state)
-    if not shape and status == Status.UNREACHABLE:
-        modes.missing_reason = unit_hint(machine, _lengths(machine, readings))
-    return SolutionSet(
-        modes,
-        ASSEMBLY_MODES,
-        np.where(largest > 0, Status.DEGENERATE, status),
-        degeneracy=Degeneracy(largest, families > 0, np.zeros((*shape, 3), dtype=np.bool_)),
-        merged=None if machine.is_nominal and legs.are_rps else merged,
-    )
+    solved = run_kernel(join_modes, (below.balls, upper), (machine.legs.balls,), results, _MIN_BATCH_PER_THREAD)
+    return Configuration.from_arrays(machine, *with_batch_shape(solved, shape))
 
 
 def forward_physical(
@@ -231,16 +217,6 @@ def _check_near(machine: Machine, near: Any) -> None:
         raise ArgumentError("near", "a configuration that closes", f"a closure residual of {residual:.1e} m")
 
 
-def _nominal_stages(machine: Machine) -> list[NominalStage]:
-    """Return the nominal stages. Modes of other legs than RPS have no nominal labels, and take the first that fit."""
-    legs, is_rps = machine.nominal.legs, machine.legs.are_rps
-    stages = zip(np.stack(legs.arrays[:3]).reshape(3, -1, 3, 3).swapaxes(0, 1), machine.stage_radii, strict=True)
-    return [
-        NominalStage(own, is_rps, machine.is_nominal and is_rps, ball_radius, radius)
-        for own, (radius, ball_radius) in stages
-    ]
-
-
 def _continuous_families(below: Modes, above: Modes) -> IntArray:
     """Return the dimensions of the continuous families in TT, TF, FT, FF, (N, 4)."""
     free = below.continuous[:, :, None].astype(np.intp) + above.continuous[:, None]
@@ -256,15 +232,14 @@ def _joined(
 
     The readings (..., legs) of a stage broadcast with them; those of a manipulator follow from the balls.
     """
-    from spm_pin.kinematics.kernels.ball_circles import join_stages, platform_frames
+    from spm_pin.kinematics.kernels.ball_circles import join_stages
 
     rotation, place = ((3, 3), np.float64), ((3,), np.float64)
-    kernel, results = join_stages, [rotation, place, rotation]
-    if machine.is_stage:
-        kernel, results, balls = platform_frames, results[:2], balls.reshape(-1, 3, 3)
-    solved = run_kernel(kernel, [balls], [machine.legs.balls], results, _MIN_BATCH_PER_THREAD_PHYSICAL)
-    arrays = with_batch_shape(solved, shape)
+    joints: Any = np.empty((0, 3, 3)) if machine.is_stage else rotation
+    stages, constants = balls.reshape(-1, len(machine.legs.kinds), 3, 3), [machine.legs.balls]
+    solved = run_kernel(join_stages, [stages], constants, [rotation, place, joints], _MIN_BATCH_PER_THREAD_PHYSICAL)
     if not machine.is_stage:
-        return Configuration.from_arrays(machine, *arrays)
-    states = Configuration.from_arrays(machine, *arrays, np.array(np.broadcast_to(readings, (*shape, 3))))
+        return Configuration.from_arrays(machine, *with_batch_shape(solved, shape))
+    shown = np.array(np.broadcast_to(readings, (*shape, 3)))
+    states = Configuration.from_arrays(machine, *with_batch_shape(solved[:2], shape), shown)
     return states if states.exists.all() else states.where(states.exists)

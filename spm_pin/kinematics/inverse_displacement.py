@@ -34,8 +34,9 @@ from spm_pin.machine.configuration import Configuration
 from spm_pin.machine.legs import LEGS
 from spm_pin.machine.manipulator import Manipulator, check_manipulator
 from spm_pin.machine.solutions import Degeneracy, SolutionSet, Status
+from spm_pin.machine.stage import Stage
 from spm_pin.support.arguments import FloatArray, IntArray, as_bool, check_instance, whole_number
-from spm_pin.support.pose import PoseLike
+from spm_pin.support.pose import PoseLike, as_rigid_transform
 
 _MIN_BATCH_PER_THREAD, _MIN_BATCH_PER_THREAD_AS_BUILT = 1 << 14, 1 << 9
 
@@ -354,7 +355,9 @@ def _vertical_families(rotation: FloatArray, place: FloatArray) -> IntArray:
     return np.where(is_level, of_level, on_segment * np.where(extent <= tolerance, 2, 1))
 
 
-@or_of_stage(stage_displacement.physical_at_poses)
-def physical_at_poses(machine: Manipulator, pose: PoseLike) -> Configuration:
+def physical_at_poses(machine: Manipulator | Stage, pose: PoseLike) -> Configuration:
     """Return the physical states of poses (...); for a stage only their heights and normals are used."""
-    return inverse_physical(machine, pose)
+    if isinstance(machine, Manipulator):
+        return inverse_physical(machine, pose)
+    matrices = as_rigid_transform(pose).as_matrix()
+    return stage_displacement.inverse_physical(machine, matrices[..., 2, 3], normal=matrices[..., :3, 2])

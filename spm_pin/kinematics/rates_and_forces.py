@@ -1,8 +1,9 @@
-"""Leg rates from the platform's twist and vice versa, leg forces for a wrench, and the platform's stiffness.
+"""Leg rates from the platform's twist and vice versa, forces of legs and joints for a wrench, and stiffness.
 
-A stage has three freedoms: its *motion* (v_z, ω_x, ω_y) stands where a manipulator has a twist (v, ω), see
-`spm_pin.kinematics.stage_rates`. The wrench on its platform has six components all the same, of which the structure
-holds a part.
+A stage has three freedoms: its *motion* (v_z, ω_x, ω_y), the velocity of its origin along z of {B} and the horizontal
+part of its angular velocity, stands where a manipulator has a twist (v, ω). The rest of its twist is parasitic motion,
+see `docs/theory/stages.md`. The wrench on its platform has six components all the same, of which the structure holds a
+part.
 
 Every leg acts on the middle platform through its ball along the leg, where its actuator holds, and along its revolute
 axis, where its structure holds: six forces in each stage, the rows of J_b and of J_c; K are the six structural ones.
@@ -23,19 +24,25 @@ states that may be singular. A single state that is singular or missing raises `
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from spm_pin.errors import SingularConfigurationError
-from spm_pin.kinematics import stage_rates
+from spm_pin.formulas import stage_poses, wrenches
+from spm_pin.formulas.operations import on_arrays, rows_of, vector_of
 from spm_pin.kinematics.batches import run_on_states
 from spm_pin.kinematics.singularity_kinds import SINGULAR
 from spm_pin.machine.configuration import Configuration, check_configuration
 from spm_pin.machine.manipulator import Manipulator
+from spm_pin.machine.stage import Stage
 from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, broadcastable, leg_values, real_array
 
+MOTION = slice(2, 5)
+"""Rows of a twist (v, ω) that are the motion (v_z, ω_x, ω_y)."""
+_twists, _may_be_singular = on_arrays(wrenches.stage_twists), on_arrays(wrenches.may_be_singular)
+_parasitic_rates = on_arrays(stage_poses.parasitic_rates)
 _STIFFEST = 1e100
 """Largest stiffness [N/m], for which products of two are still finite."""
 
@@ -54,10 +61,19 @@ def inverse_jacobian(configuration: Configuration) -> FloatArray:
         ball.
     """
     if check_configuration(configuration).machine.is_stage:
-        return stage_rates.inverse_jacobian(configuration)
-    from spm_pin.kinematics.kernels.jacobian_kernels import inverse_jacobians
+        twists = parasitic_jacobian(configuration)
+        matrices = stage_forces(configuration, configuration.translation)[..., 0, :3, :] @ twists
+    else:
+        from spm_pin.kinematics.kernels.jacobian_kernels import inverse_jacobians
 
-    return _matrices(configuration, inverse_jacobians, "inverse")
+        matrices = _matrices(configuration, inverse_jacobians, "inverse")
+    if configuration.machine.legs.are_rps:
+        return matrices
+    slopes = configuration.slopes
+    singular = np.abs(slopes) <= SINGULAR * configuration.machine.legs.largest_slopes
+    if singular.any() and not configuration.shape:
+        raise SingularConfigurationError("leg", float(np.abs(slopes).min()))
+    return np.asarray(matrices / np.where(singular, np.nan, slopes)[..., None])
 
 
 def platform_jacobian(configuration: Configuration) -> FloatArray:
@@ -72,10 +88,47 @@ def platform_jacobian(configuration: Configuration) -> FloatArray:
         parasitic motion is included; the rows `spm_pin.kinematics.MOTION` are the inverse of its `inverse_jacobian`.
     """
     if check_configuration(configuration).machine.is_stage:
-        return stage_rates.platform_jacobian(configuration)
-    from spm_pin.kinematics.kernels.jacobian_kernels import platform_jacobians
+        matrices = _stage_twists(configuration, has_axes=False)[..., 0, :, :]
+    else:
+        from spm_pin.kinematics.kernels.jacobian_kernels import platform_jacobians
 
-    return _matrices(configuration, platform_jacobians, "forward")
+        matrices = _matrices(configuration, platform_jacobians, "forward")
+    return matrices if configuration.machine.legs.are_rps else matrices * configuration.slopes[..., None, :]
+
+
+def parasitic_jacobian(configuration: Configuration) -> FloatArray:
+    """Return the twist of a stage's platform for its motion (v_z, ω_x, ω_y), with the parasitic v_x, v_y and ω_z.
+
+    Returns
+    -------
+    ndarray, shape (..., 6, 3)
+        Rows (v, ω) of the platform at its origin, in {B}; columns v_z [m/s], ω_x and ω_y [rad/s]. At an inverse
+        singularity, where the motion does not determine the twist, a single state raises `SingularConfigurationError`,
+        and a member of a batch is NaN.
+    """
+    state = check_configuration(configuration, of=Stage)
+    check_configuration(state, existing=not state.shape)
+    axes, balls, origin = rows_of(state.machine.legs.axes), rows_of(state.balls), vector_of(state.translation)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        columns = [_parasitic_rates(axes, balls, origin, tuple(unit)) for unit in np.eye(3).tolist()]
+    sizes = np.linalg.svd(np.nan_to_num(inverse_matrices(state)), compute_uv=False)
+    singular = np.asarray(state.exists & (sizes[..., -1] <= SINGULAR * sizes[..., 0]))
+    if singular.any() and not state.shape:
+        raise SingularConfigurationError("inverse", float(sizes[..., -1]))
+    return _regular(_columns(columns, state.shape), singular)
+
+
+def motion_rows(jacobian: FloatArray) -> FloatArray:
+    """Return the rows of G (..., 6, legs) of a machine's freedoms: all for a manipulator, `MOTION` for a stage."""
+    return jacobian if jacobian.shape[-1] == 6 else jacobian[..., MOTION, :]
+
+
+def tilt_densities(state: Configuration, jacobian: FloatArray) -> FloatArray:
+    """Return |det ∂(height, normal)/∂readings| of states (...) from their `platform_jacobian`, [m sr] per readings."""
+    # Turns about the platform's own x and y move its normal, and one about the normal does not.
+    turns = state.rotation[..., :2].mT @ jacobian[..., 3:, :]
+    rates = np.concatenate([jacobian[..., 2:3, :], turns], axis=-2)
+    return np.asarray(np.abs(np.linalg.det(rates)))
 
 
 def leg_rates(configuration: Configuration, twist: npt.ArrayLike) -> FloatArray:
@@ -117,20 +170,47 @@ def leg_forces(configuration: Configuration, wrench: npt.ArrayLike) -> FloatArra
     ndarray, shape (..., 6); for a stage (..., 3)
         Efforts of the actuators of r_b1, r_b2, r_b3, r_c1, r_c2, r_c3 [N] ([N m] for RRS legs); a positive effort
         increases the reading: an RPS leg pushes. Weights and friction are left out. At singularities as
-        `platform_jacobian`. Other loads of the joints: `spm_pin.capability.joint_reactions`, and for a stage
-        `spm_pin.kinematics.joint_loads`.
+        `platform_jacobian`. Other loads of the joints: `joint_loads`, `spm_pin.capability.joint_reactions`.
     """
     check_configuration(configuration)
     load = _broadcast_argument(wrench, "wrench", "(f, m) at o in {B} in N and N m", configuration, 6)
     if configuration.machine.is_stage:
         return np.asarray(-(platform_jacobian(configuration).mT @ load[..., None])[..., 0])
-    from spm_pin.kinematics.kernels.jacobian_kernels import stage_forces
+    from spm_pin.kinematics.kernels import jacobian_kernels
 
-    forces, suspect = _run(stage_forces, configuration, (6,), load)
+    forces, suspect = _run(jacobian_kernels.stage_forces, configuration, (6,), load)
     if np.count_nonzero(suspect):
         # Whether a state is singular does not depend on the wrench.
-        forces[np.broadcast_to(_without_hold(configuration), forces.shape[:-1])] = np.nan
+        without_hold = np.isnan(platform_jacobian(configuration)).any(axis=(-1, -2))
+        forces[np.broadcast_to(without_hold, forces.shape[:-1])] = np.nan
     return forces if configuration.machine.legs.are_rps else forces * configuration.slopes
+
+
+class JointLoads(NamedTuple):
+    """Loads of the joints of a machine, for states and wrenches of shape (...); weights and friction are neglected."""
+
+    efforts: FloatArray
+    """Efforts of the actuators, positive if they increase the reading, shape (..., legs): [N], for RRS legs [N m]."""
+    rods: FloatArray
+    """Force of each leg along `leg_vectors`, positive if it pushes the platform [N], shape (..., legs)."""
+    across: FloatArray
+    """Force of each leg along its revolute axis, which its structure carries [N], shape (..., legs)."""
+    balls: FloatArray
+    """Forces of the legs towards the platform through the balls, as rows in {B} [N], shape (..., legs, 3)."""
+    moments: FloatArray
+    """Moments of these forces at the legs' pivots, as rows in {B} [N m], shape (..., legs, 3)."""
+
+
+def joint_loads(configuration: Configuration, wrench: npt.ArrayLike) -> JointLoads:
+    """Return what actuators, legs, balls and pivots carry under a wrench (..., 6), both as for `leg_forces`."""
+    check_configuration(configuration)
+    load = _broadcast_argument(wrench, "wrench", "(f, m) at o in {B} in N and N m", configuration, 6)
+    carried = -(stage_inverses(configuration).mT @ load[..., None, :, None])[..., 0]
+    along, axes = _directions(configuration)
+    rods, across = (x.reshape(*x.shape[:-2], -1) for x in (carried[..., :3], carried[..., 3:]))
+    balls = rods[..., None] * along + across[..., None] * axes
+    arms = configuration.balls - configuration.leg_bases
+    return JointLoads(rods * configuration.slopes, rods, across, balls, np.cross(arms, balls))
 
 
 def _matrices(configuration: Configuration, kernel: Callable[..., object], kind: str) -> FloatArray:
@@ -140,16 +220,7 @@ def _matrices(configuration: Configuration, kernel: Callable[..., object], kind:
         singular = suspect.astype(bool)
         singular[singular] = _are_singular(configuration, np.argwhere(suspect), kind)
         matrices[singular] = np.nan
-    if configuration.machine.legs.are_rps:
-        return matrices
-    if kind == "forward":
-        return matrices * configuration.slopes[..., None, :]
-    return matrices / stage_rates.regular_slopes(configuration)[..., None]
-
-
-def _without_hold(configuration: Configuration) -> BoolArray:
-    """Return which members of a batch are forward singular or missing; a single singular state raises an error."""
-    return np.asarray(np.isnan(platform_jacobian(configuration)).any(axis=(-1, -2)))
+    return matrices
 
 
 def _run(
@@ -177,21 +248,46 @@ def leg_constants(machine: Manipulator) -> FloatArray:
     return np.concatenate([machine.legs.axes, machine.legs.upper_ball_weights])
 
 
+def _directions(state: Configuration) -> tuple[FloatArray, FloatArray]:
+    """Return the unit vectors along legs and along revolute axes, as rows in {B}, (..., legs, 3).
+
+    NaN for a missing state, and along a leg whose length is zero.
+    """
+    vectors = state.leg_vectors
+    with np.errstate(invalid="ignore", divide="ignore"):
+        along = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+    # The axes of lower legs do not depend on the state, but must be NaN for a missing one.
+    return along, np.where(state.exists[..., None, None], state.leg_axes, np.nan)
+
+
+def stage_forces(state: Configuration, centre: FloatArray, unit: float = 1.0) -> FloatArray:
+    """Return the forces of each stage as rows (f, arm x f), along its legs and along their axes, (..., stages, 6, 6).
+
+    Arms are from `centre` (..., 3), in units of `unit` [m].
+    """
+    arms = (state.balls - centre[..., None, :]) / unit
+    rows = [np.concatenate([f, np.cross(arms, f)], axis=-1) for f in _directions(state)]
+    return np.concatenate([x.reshape(*state.shape, -1, 3, 6) for x in rows], axis=-2)
+
+
 def force_matrices(configuration: Configuration) -> FloatArray:
     """Return J_b, J_c and K (..., 3, 6, 6): rows (f, arm x f), arms from the lower balls' centre in units of d.
 
     NaN for a missing state, and in the row of a leg whose length is zero.
     """
-    vectors, machine = configuration.leg_vectors, configuration.machine
-    centre = configuration.middle_joints.mean(axis=-2)[..., None, :]
-    arms = (configuration.balls - centre) / machine.middle_side
-    with np.errstate(invalid="ignore"):
-        directions = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-    # The axes of the lower legs do not depend on the state, but must be NaN for a missing one.
-    axes = np.where(configuration.exists[..., None, None], configuration.leg_axes, np.nan)
-    legs, structure = (np.concatenate([f, np.cross(arms, f)], axis=-1) for f in (directions, axes))
-    stages = [np.concatenate([legs[..., k, :], structure[..., k, :]], axis=-2) for k in (slice(3), slice(3, 6))]
-    return np.stack([*stages, structure], axis=-3)
+    centre = configuration.middle_joints.mean(axis=-2)
+    stages = stage_forces(configuration, centre, configuration.machine.middle_side)
+    return np.concatenate([stages, stages[..., 3:, :].reshape(*configuration.shape, 1, 6, 6)], axis=-3)
+
+
+def six_forces(state: Configuration) -> FloatArray:
+    """Return the six forces of a stage (..., 6, 6) at its origin, lengths in units of the platform's radius."""
+    return stage_forces(state, state.translation, state.machine.platform_radius)[..., 0, :, :]
+
+
+def inverse_matrices(state: Configuration) -> FloatArray:
+    """Return the matrix of v_x, v_y and ω_z in the equations of a stage's planes, as `six_forces`, (..., 3, 3)."""
+    return six_forces(state)[..., 3:, [0, 1, 5]]
 
 
 def stage_inverses(configuration: Configuration) -> FloatArray:
@@ -199,13 +295,39 @@ def stage_inverses(configuration: Configuration) -> FloatArray:
 
     NaN where `platform_jacobian` is; a single singular state raises an error.
     """
-    if check_configuration(configuration).machine.is_stage:
-        return stage_rates.stage_inverses(configuration)
-    inverses = _inverses(force_matrices(configuration)[..., :2, :, :], _without_hold(configuration)[..., None])
-    lever = configuration.translation - configuration.middle_joints.mean(axis=-2)
-    angular = inverses[..., 3:, :] / configuration.machine.middle_side
-    linear = inverses[..., :3, :] + np.cross(angular, lever[..., None, :, None], axis=-2)
-    return np.concatenate([linear, angular], axis=-2)
+    return _stage_twists(configuration, has_axes=True)
+
+
+def _stage_twists(configuration: Configuration, *, has_axes: bool) -> FloatArray:
+    """Return the twists (..., stages, 6, 3) for unit rates of the balls along the legs, and (..., 6) along the axes."""
+    state = check_configuration(configuration, existing=not configuration.shape)
+    directions, origin, stages = _directions(state), vector_of(state.translation), []
+    singular = np.asarray(state.exists & np.isnan(directions[0]).any(axis=(-1, -2)))
+    # Components first: each operation of the formulas then runs along the states.
+    rows = [np.ascontiguousarray(np.moveaxis(x, (-2, -1), (0, 1))) for x in (state.balls, *directions)]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        for k in range(len(state.machine.legs.kinds)):
+            b, f, a = (tuple(map(tuple, x[3 * k : 3 * k + 3])) for x in rows)
+            twists = *_twists(b, f, a, origin), *(_twists(b, a, f, origin) if has_axes else ())
+            stages.append(_columns(twists, state.shape))
+            singular |= _may_be_singular(b, f, a, state.machine.ball_side, SINGULAR)
+    if singular.any():
+        singular[singular] = _are_singular(state, np.argwhere(singular), "forward")
+    return _regular(np.stack(stages, axis=-3), singular[..., None])
+
+
+def _columns(twists: Any, shape: tuple[int, ...]) -> FloatArray:
+    """Return twists (v, ω) from formulas as the columns of matrices (..., 6, n)."""
+    matrices = np.empty((*shape, 6, len(twists)))
+    for j, (v, w) in enumerate(twists):
+        for i, x in enumerate((*v, *w)):
+            matrices[..., i, j] = x
+    return matrices
+
+
+def _regular(matrices: FloatArray, singular: BoolArray) -> FloatArray:
+    """Return matrices (..., m, n), NaN where they are singular (...)."""
+    return np.where(singular[..., None, None], np.nan, matrices)
 
 
 def _are_singular(configuration: Configuration, indices: IntArray, kind: str) -> BoolArray:
@@ -213,18 +335,20 @@ def _are_singular(configuration: Configuration, indices: IntArray, kind: str) ->
 
     For a single singular configuration, raise an error.
     """
-    some = configuration[tuple(indices.T)] if configuration.shape else configuration
-    matrices = force_matrices(some).reshape(-1, 3, 6, 6)
+    some, machine = configuration[tuple(indices.T)] if configuration.shape else configuration, configuration.machine
+    stages = stage_forces(some, some.middle_joints.mean(axis=-2), machine.ball_side)
+    stages = stages.reshape(-1, len(machine.legs.kinds), 6, 6)
     # An existing state has a row of NaN if the length of a leg is zero.
-    is_short = np.asarray(np.isnan(matrices).any(axis=(-1, -2, -3)))
-    values = np.linalg.svd(np.nan_to_num(matrices[:, :2] if kind == "forward" else matrices[:, 2:]), compute_uv=False)
+    is_short = np.asarray(np.isnan(stages).any(axis=(-1, -2, -3)))
+    matrices = stages if kind == "forward" else stages[..., 3:, :].reshape(-1, 1, 6, 6)
+    values = np.linalg.svd(np.nan_to_num(matrices), compute_uv=False)
     smallest = np.where(values[..., -1] <= SINGULAR * values[..., 0], values[..., -1], np.inf).min(axis=-1)
     singular = np.asarray(is_short | (smallest < np.inf))
     if configuration.shape or not singular.any():
         return singular
     if is_short.any():
         raise SingularConfigurationError("forward", 0.0)
-    structure = np.linalg.svd(matrices[0, :2, 3:], compute_uv=False)
+    structure = np.linalg.svd(stages[0, :, 3:], compute_uv=False)
     if (structure[:, -1] <= SINGULAR * structure[:, 0]).any():
         raise SingularConfigurationError("constraint", float(structure[:, -1].min()))
     raise SingularConfigurationError(kind, float(smallest.min()))

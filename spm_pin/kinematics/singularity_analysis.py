@@ -24,11 +24,17 @@ from spm_pin.errors import ArgumentError, SingularConfigurationError
 from spm_pin.formulas.operations import rows_of
 from spm_pin.formulas.vectors import directions
 from spm_pin.formulas.wrenches import determinant, structure_determinant
-from spm_pin.kinematics import stage_rates
 from spm_pin.kinematics.batches import run_kernel, run_on_states
-from spm_pin.kinematics.rates_and_forces import force_matrices, leg_constants, platform_jacobian
+from spm_pin.kinematics.rates_and_forces import (
+    force_matrices,
+    inverse_matrices,
+    leg_constants,
+    platform_jacobian,
+    six_forces,
+    stage_forces,
+)
 from spm_pin.kinematics.singularity_kinds import SINGULAR, SingularityKind, kinds_text
-from spm_pin.machine.configuration import Configuration, check_configuration
+from spm_pin.machine.configuration import Configuration, check_configuration, masked
 from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, real_number, shaped_array
 
 _MIN_BATCH_PER_THREAD = 1 << 11
@@ -90,6 +96,41 @@ class Singularities:
         return f"<Singularities: {kinds_text(self.kind, exists)}; smallest singular values of J_b, J_c, K: {sigmas}>"
 
 
+@dataclass(frozen=True, repr=False)
+class StageSingularities:
+    """Singularities of states of shape (...), and distances to them; NaN for missing states."""
+
+    kind: npt.NDArray[np.int8]
+    """A combination of `SingularityKind`, shape (...).
+
+    `FORWARD` if the platform can move with locked actuators, `INVERSE` if tilt and height do not determine its
+    motion, so that the modes T and F meet, with `CONSTRAINT` if the structure's own three forces are dependent, and
+    `LEG` if an actuator does not move its ball.
+    """
+    forward: FloatArray
+    """Smallest singular value of the six forces, arms in units of the platform's radius, shape (...)."""
+    inverse: FloatArray
+    """Smallest singular value of the equations for v_x, v_y and ω_z, in the same unit, shape (...)."""
+    leg: FloatArray
+    """κ of each leg over its largest, in its working mode positive, shape (..., 3)."""
+    gained_twist: FloatArray
+    """The twist (v, ω) at the platform's origin in {B} that locked actuators resist least, shape (..., 6).
+
+    (v, r ω) has length 1 m/s, with r the platform's radius.
+    """
+
+    @property
+    def sigma(self) -> FloatArray:
+        """Smallest singular values `forward` and `inverse`, stacked, shape (..., 2)."""
+        return np.stack([self.forward, self.inverse], axis=-1)
+
+    def __repr__(self) -> str:
+        exists = np.isfinite(self.forward)
+        least = {"forward": self.forward, "inverse": self.inverse, "leg": self.leg}
+        distances = ", ".join(f"{name} {x[exists].min(initial=np.inf):.3g}" for name, x in least.items())
+        return f"<StageSingularities: {kinds_text(self.kind, exists)}; least distances: {distances}>"
+
+
 def singularities(configuration: Configuration, *, tolerance: float = SINGULAR) -> Any:
     """Describe the singularities of a configuration, or how near they are.
 
@@ -117,7 +158,7 @@ def singularities(configuration: Configuration, *, tolerance: float = SINGULAR) 
 
     tolerance = real_number(tolerance, "tolerance", "a number from 0 to below 1", least=0.0, below=1.0)
     if check_configuration(configuration).machine.is_stage:
-        return stage_rates.singularities(configuration, tolerance)
+        return _stage_singularities(configuration, tolerance)
     machine = configuration.machine
     exists, side = configuration.exists, machine.middle_side
     three, six = ((3,), np.float64), ((6,), np.float64)
@@ -157,6 +198,32 @@ def singularities(configuration: Configuration, *, tolerance: float = SINGULAR) 
         inner_twist=twists[..., 2, :],
         lost_wrench=wrench,
     )
+
+
+def _stage_singularities(state: Configuration, least: float) -> StageSingularities:
+    """Find which states are singular, of which kind, and how far the others are from it.
+
+    `least` is the ratio of the smallest singular value to the largest, and of κ to its largest, of a singular state.
+    """
+    exists, scale = state.exists[..., None, None], state.machine.platform_radius
+    # A leg whose length is zero has no direction and resists nothing: its row is zero, the state forward singular.
+    six = np.nan_to_num(np.where(exists, six_forces(state), np.eye(6)))
+    three = np.where(exists, inverse_matrices(state), np.eye(3))
+    _, sizes, right = np.linalg.svd(six)
+    own, structure = (np.linalg.svd(x, compute_uv=False) for x in (three, six[..., 3:, :]))
+    leg = state.slopes * state.machine.legs.slope_signs / state.machine.legs.largest_slopes
+    kinds = {
+        SingularityKind.FORWARD: sizes[..., -1] <= least * sizes[..., 0],
+        SingularityKind.INVERSE: own[..., -1] <= least * own[..., 0],
+        SingularityKind.CONSTRAINT: structure[..., -1] <= least * structure[..., 0],
+        SingularityKind.LEG: (leg <= least).any(axis=-1),
+    }
+    kind = np.asarray(sum((int(kind) * (flags & state.exists) for kind, flags in kinds.items()), np.zeros(state.shape)))
+    twist = right[..., -1, :] / np.repeat([1.0, scale], 3)
+    forward, inverse, gained = (
+        masked(x, state.exists, x.ndim - len(state.shape)) for x in (sizes[..., -1], own[..., -1], twist)
+    )
+    return StageSingularities(kind.astype(np.int8), forward, inverse, leg, gained)
 
 
 def _have_dependent_constraints(configuration: Configuration, rank: IntArray, tolerance: float) -> BoolArray:
@@ -204,8 +271,9 @@ def determinants(configuration: Configuration) -> FloatArray:
     member that does not exist, or for a leg without length.
     """
     if check_configuration(configuration).machine.is_stage:
-        scales = configuration.machine.platform_radius ** np.array([3, 1])
-        return np.asarray(stage_rates.determinants(configuration) * scales)
+        six = stage_forces(configuration, configuration.translation)[..., 0, :, :]
+        with np.errstate(invalid="ignore"):  # missing states
+            return np.stack([np.linalg.det(six), np.linalg.det(six[..., 3:, [0, 1, 5]])], axis=-1)
     from spm_pin.kinematics.kernels.jacobian_kernels import all_determinants
 
     machine = configuration.machine

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +13,7 @@ from spm_pin.formulas.planar_legs import LONGEST_CHORD
 from spm_pin.kinematics.batches import run_kernel
 from spm_pin.machine.leg_kinds import RPS
 from spm_pin.machine.legs import Legs, PlacedLegs
+from spm_pin.machine.machine import Machine
 from spm_pin.support.arguments import BoolArray, FloatArray
 
 _is_home_state = on_arrays(formulas.is_home_state)
@@ -26,37 +27,26 @@ CentresAndRadii = tuple[FloatArray, FloatArray]
 """Centres (N, 3, 3) and radii (N, 3) [m]."""
 
 
-class NominalStage(NamedTuple):
-    """The nominal stage, whose modes have labels."""
-
-    legs: FloatArray
-    """Axes, pivots and balls [m] (3, 3, 3)."""
-    is_rps: bool
-    is_nominal_rps: bool
-    """True if the stage itself is nominal, with RPS legs."""
-    radius: float
-    """Radius of the platform, on which the balls are [m]."""
-    base_radius: float
-    """Radius of the base, on which the pivots are [m]."""
-
-
 class Modes(NamedTuple):
     """All modes of N stages."""
 
     balls: FloatArray
     """(N, 16, 3, 3) [m], NaN where a mode is not real."""
-    merged: BoolArray
-    """True for labels (N, 16) whose mode has met another one, and for remaining ones."""
     continuous: BoolArray
     """True for the modes T, F of a nominal stage with RPS legs that are continuous families, (N, 2)."""
     status: npt.NDArray[np.int8]
     """`Status` (N,), without regard to continuous families."""
 
 
-def all_modes(stage: PlacedLegs, readings: FloatArray, drawing: NominalStage) -> Modes:
-    """Return all modes with readings (N, 3), with the labels of the nominal stage."""
-    modes = _modes(stage, _stage_circles(stage, readings), drawing)
-    return modes._replace(balls=_in_working_mode(stage, modes.balls, readings[:, None]))
+def all_modes(machine: Machine, readings: FloatArray) -> list[Modes]:
+    """Return all modes of each stage of a machine with readings (N, legs)."""
+    legs, every = machine.legs, []
+    for k, (stage, (radius, ball_radius)) in enumerate(zip(legs.stages, machine.stage_radii, strict=True)):
+        own = readings[:, 3 * k : 3 * k + 3]
+        is_nominal_rps = machine.is_nominal and legs.are_rps
+        modes = _modes(stage, _stage_circles(stage, own), (is_nominal_rps, ball_radius, radius))
+        every.append(modes._replace(balls=_in_working_mode(stage, modes.balls, own[:, None])))
+    return every
 
 
 def physical_balls(legs: Legs, readings: FloatArray) -> FloatArray:
@@ -102,11 +92,8 @@ def followed_balls(legs: Legs, balls: FloatArray, start: FloatArray, end: FloatA
 
 def _home_modes(stage: PlacedLegs, locked: CentresAndRadii, readings: FloatArray) -> FloatArray:
     """Return the balls (N, 3, 3) [m] of the first mode that is in the home assembly region, NaN where no mode is."""
-    unlabelled = NominalStage(np.stack([stage.axes, stage.pivots, stage.balls]), False, False, 1.0, 1.0)
-    modes = _in_working_mode(stage, _modes(stage, locked, unlabelled).balls, readings[:, None])
-    (centres, _), none = locked, np.zeros(3)
-    three: Any = formulas.Circles(rows_of(stage.axes), rows_of(centres[:, None]), none, none)  # type: ignore[arg-type]
-    is_home = _is_home_state(three, rows_of(modes - centres[:, None]), rows_of(modes), stage.up)
+    modes = _in_working_mode(stage, _modes(stage, locked).balls, readings[:, None])
+    is_home = _is_home_state(rows_of(modes), rows_of(locked[0][:, None]), rows_of(stage.axes), stage.up)
     first = modes[np.arange(len(modes)), is_home.argmax(axis=-1)]
     return np.where(is_home.any(axis=-1)[:, None, None], first, np.nan)
 
@@ -138,11 +125,12 @@ def _stage_circles(stage: PlacedLegs, readings: FloatArray) -> CentresAndRadii:
     return centres, radii
 
 
-def _modes(stage: PlacedLegs, locked: CentresAndRadii, drawing: NominalStage) -> Modes:
+def _modes(stage: PlacedLegs, locked: CentresAndRadii, nominal: tuple[bool, float, float] = (False, 1.0, 1.0)) -> Modes:
+    """Return all modes; `nominal` are whether the stage is nominal with RPS legs, and its radii of balls and base."""
     from spm_pin.kinematics.kernels.circle_modes import modes_of_stages
 
-    constants = stage.axes, stage.balls, *drawing, stage.up
-    results = ((16, 3, 3), np.float64), ((16,), np.bool_), ((2,), np.bool_), ((), np.int8)
+    constants = stage.axes, stage.balls, *nominal, stage.up
+    results = ((16, 3, 3), np.float64), ((2,), np.bool_), ((), np.int8)
     return Modes(*run_kernel(modes_of_stages, locked, constants, results, _MIN_BATCH_PER_THREAD))
 
 

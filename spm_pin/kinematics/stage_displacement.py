@@ -23,7 +23,6 @@ from spm_pin.support.arguments import (
     first_offender,
     real_array,
 )
-from spm_pin.support.pose import PoseLike, as_rigid_transform
 
 _MIN_BATCH_PER_THREAD = 1 << 14
 _STEEP = 0.9
@@ -131,12 +130,6 @@ def inverse_physical(
     if not shape:
         state.missing_reason = inverse(stage, heights[0], normal=normals[0]).physical().missing_reason
     return state
-
-
-def physical_at_poses(stage: Stage, pose: PoseLike) -> Configuration:
-    """Return the physical states with the heights and normals of poses (...); shift and torsion follow."""
-    matrices = as_rigid_transform(pose).as_matrix()
-    return inverse_physical(stage, matrices[..., 2, 3], normal=matrices[..., :3, 2])
 
 
 def poses(stage: Stage, normals: FloatArray, heights: FloatArray, modes: int) -> tuple[Any, ...]:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import RigidTransform
 
 from spm_pin.errors import ArgumentError, SelectionError
-from spm_pin.formulas import branches, circles, wrenches
+from spm_pin.formulas import branches, circles
 from spm_pin.formulas.operations import on_arrays, rows_of
 from spm_pin.machine.legs import LegLimits, triangle_frames, triangle_sides
 from spm_pin.machine.machine import ALONE, Machine, check_machine
@@ -33,8 +33,8 @@ from spm_pin.support.pose import PoseLike, as_rigid_transform, unchecked_transfo
 _HALF_TURN_BACK = -np.pi + 1e-9
 """Smallest torsion [rad] of those that are π up to rounding, with negative sign."""
 
-_is_upright, _tilt_cosine_sum = on_arrays(branches.is_upright), on_arrays(branches.tilt_cosine_sum)
-_is_stage_at_home, _is_home_state = on_arrays(wrenches.is_stage_at_home), on_arrays(circles.is_home_state)
+_is_upright, _is_home_state = on_arrays(circles.is_upright), on_arrays(circles.is_home_state)
+_tilt_cosine_sum = on_arrays(branches.tilt_cosine_sum)
 
 
 class Configuration:
@@ -174,22 +174,14 @@ class Configuration:
         home, and in the home assembly region at most one is negative; see `docs/theory/forward_displacement.md`. If the
         machine is calibrated, the nominal directions determine the mode, and the machine's own axes the region.
         """
-        if self._machine.is_stage:
-            axes, centres, none = (rows_of(x) for x in (self._machine.legs.axes, self.circle_centres, np.zeros((3, 3))))
-            stage: Any = circles.Circles(axes, centres, none[0], none[0])  # type: ignore[arg-type]
-            (up,) = (kind.up for kind in self._machine.legs.kinds)
-            is_home = _is_home_state(stage, rows_of(self.leg_vectors), rows_of(self.balls), up)
-            return np.asarray(is_home, dtype=np.bool_)
-        position = tuple(np.moveaxis(self.translation, -1, 0))
-        outer = self.leg_vectors * self._machine.legs.ups[:, None]
-        vectors = self.middle_joints, *halves(outer), self.rotation
-        upright = np.asarray(_is_upright(*map(rows_of, vectors), position))
+        legs = self._machine.legs
+        balls, centres = self.balls_of_stages, legs.pivots if legs.are_rps else self.own_circle_centres
+        axes, centres = (x.reshape(*x.shape[:-2], -1, 3, 3) for x in (legs.axes, centres))
+        at_home = np.asarray(_is_upright(rows_of(balls), rows_of(centres), legs.stage_ups).all(axis=-1))
         # In a batch few states are upright, and the test of the region takes longer.
-        states = self[upright] if self.shape else self
-        outer = outer[upright] if self.shape else outer
-        stages = zip(*map(halves, (states.balls, outer, states.leg_axes)), strict=True)
-        at_home: BoolArray = upright.copy()
-        at_home[upright] = np.logical_and(*(_is_stage_at_home(*map(rows_of, vectors)) for vectors in stages))
+        centres = np.broadcast_to(centres, balls.shape)
+        stages = (rows_of(x) for x in (balls[at_home], centres[at_home], axes))
+        at_home[at_home] = _is_home_state(*stages, legs.stage_ups).all(axis=-1)
         return at_home
 
     @property

@@ -18,8 +18,8 @@ from spm_pin.kinematics import (
     singular_values,
     singularities,
 )
+from spm_pin.kinematics.rates_and_forces import motion_rows
 from spm_pin.kinematics.stage_displacement import normals_of_tilt
-from spm_pin.kinematics.stage_rates import motion_rows
 from spm_pin.machine import Configuration, LegLimits, Manipulator, SolutionSet, Stage, Status
 from spm_pin.support.arguments import BoolArray, FloatArray, frozen
 

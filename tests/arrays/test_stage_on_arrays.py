@@ -144,10 +144,10 @@ def test_readings_lead_to_the_states_of_the_kernel(machine: str) -> None:
     shown = states.readings.copy()
     before = spm.inverse_physical(stage, states.height, normal=[0.0, 0.0, 1.0])
     middle = spm.forward_physical(stage, 0.9 * shown + 0.1 * before.readings)
-    near = arrays.StageState(middle.rotation, middle.translation, middle.readings, middle.exists)
+    near = arrays.State(middle.rotation, middle.translation, middle.balls, middle.readings, middle.exists)
     assert near.exists.mean() > 0.99
     for start, begins in ((None, True), (near, near.exists)):
-        found = arrays.stage_forward(stage, shown, near=start)
+        found = arrays.forward_physical(stage, shown, near=start)
         exists = found.exists
         assert (exists == begins).all()
         np.testing.assert_allclose(found.rotation[exists], states.rotation[exists], rtol=0, atol=1e-11)
@@ -156,7 +156,7 @@ def test_readings_lead_to_the_states_of_the_kernel(machine: str) -> None:
     size = 1.0 if stage.unit == "rad" else stage.size
     shown = np.abs(shown + 0.2 * size * np.random.default_rng(2).standard_normal(shown.shape))
     shown[:2] = [[np.nan, 1.0, 1.0], [1e12, 1.0, 1.0]]
-    found = arrays.stage_forward(stage, shown)
+    found = arrays.forward_physical(stage, shown)
     assert not found.exists[:2].any()
     expected = spm.forward_physical(stage, shown[2:])
     assert 0 < expected.exists.sum() < len(shown)
@@ -171,11 +171,11 @@ def test_readings_lead_to_the_states_of_the_kernel(machine: str) -> None:
 def test_readings_lead_to_the_states_of_the_kernel_in_casadi(machine: str) -> None:
     stage, height = stage_and_height(machine)
     states = existing_states(stage, height, 8, seed=3)
-    forward, near = (spm.casadi.stage_forward(stage, near=near) for near in (False, True))
+    forward, near = (spm.casadi.forward_physical(stage, near=near) for near in (False, True))
     jacobian = forward.jacobian()
     for state in states:
         beside = near(state.readings, state.rotation, np.add(state.translation, [0.0, 0.0, 0.01 * height]))
-        for rotation, position, residual, exists in (forward(state.readings), beside):
+        for rotation, position, _, residual, exists in (forward(state.readings), beside):
             assert exists == 1.0
             assert residual < 1e-14
             np.testing.assert_allclose(rotation, state.rotation, rtol=0, atol=1e-12)
@@ -189,7 +189,7 @@ def test_readings_lead_to_the_states_of_the_kernel_in_casadi(machine: str) -> No
         found = np.stack([spins[2, 1], spins[0, 2], spins[1, 0]])
         np.testing.assert_allclose(found, expected[3:], rtol=0, atol=1e-9 * scale)
     without = states[0].readings + 2.0 * (1.0 if stage.unit == "rad" else stage.size)
-    assert forward(without)[3] == spm.forward_physical(stage, without).exists
+    assert forward(without)[4] == spm.forward_physical(stage, without).exists
 
 
 @pytest.mark.parametrize("turns", [-2, 2])
@@ -200,10 +200,10 @@ def test_cranks_turned_by_more_than_a_turn_are_taken_for_degrees(turns: int) -> 
     wound = shown + 2.0 * np.pi * turns
     for once in (shown - 2.0 * np.pi, shown):
         assert spm.forward_physical(stage, once).exists
-        assert arrays.stage_forward(stage, once).exists
-        assert spm.casadi.stage_forward(stage)(once)[3] == 1.0
-    assert not arrays.stage_forward(stage, wound).exists
-    assert spm.casadi.stage_forward(stage)(wound)[3] == 0.0
+        assert arrays.forward_physical(stage, once).exists
+        assert spm.casadi.forward_physical(stage)(once)[4] == 1.0
+    assert not arrays.forward_physical(stage, wound).exists
+    assert spm.casadi.forward_physical(stage)(wound)[4] == 0.0
     for solve in (spm.forward_displacement, spm.forward_physical):
         with pytest.raises(spm.ArgumentError, check=with_fields(argument="readings")):
             solve(stage, wound)
@@ -217,7 +217,7 @@ def test_derivatives_by_readings_are_the_motion_of_the_platform(machine: str) ->
     states = spm.inverse_physical(stage, heights, normal=normals)
 
     def pose(readings: jax.Array) -> tuple[jax.Array, ...]:
-        return tuple(arrays.stage_forward(stage, readings))[:2]
+        return tuple(arrays.forward_physical(stage, readings))[:2]
 
     turns, velocities = map(np.asarray, jax.jit(jax.vmap(jax.jacfwd(pose)))(jnp.asarray(states.readings)))
     spins = np.einsum("nijk,nlj->nilk", turns, states.rotation)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from error_fields import with_fields
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import spm_pin as spm
@@ -40,6 +41,13 @@ def test_a_reading_below_the_offset_of_a_trial_machine_has_no_state() -> None:
     measured = with_gaps()
     assert not measured.states(machine).exists.any()
     assert np.isnan(measured.errors(machine)[measured.present]).all()
+
+
+def test_heights_in_another_unit_are_called_heights() -> None:
+    levels = Inclinations(STATES.roll, STATES.pitch, 1e3 * STATES.height)
+    received = f"values of {1e3 * np.median(STATES.height):g} for height"
+    with pytest.raises(MeasurementError, check=with_fields(argument="poses", received=received)):
+        Measurements.check(STAGE, levels, STATES.readings, frames=False)
 
 
 PAPER = spm.Manipulator.paper()

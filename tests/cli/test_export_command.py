@@ -17,15 +17,15 @@ from spm_pin.description import CLOSURES_PATH, PACKAGE_PATH, URDF_PATH, mjcf_tex
 
 def test_every_format_is_what_the_writers_write(tmp_path: Path) -> None:
     for arguments, expected in (
-        (["--format", "urdf", "--ros-constraints"], urdf_text(ros_constraints=True)),
-        (["--format", "mjcf", "--collisions", "simple"], mjcf_text(collisions="simple")),
-        (["--format", "sdf", "--loops", "drake"], sdf_text(loops="drake")),
+        (["urdf", "--ros-constraints"], urdf_text(ros_constraints=True)),
+        (["mjcf", "--collisions", "simple"], mjcf_text(collisions="simple")),
+        (["sdf", "--loops", "drake"], sdf_text(loops="drake")),
     ):
         done = run("export", *arguments)
         assert done.returncode == 0, done.message
         assert done.stdout == expected
     target = tmp_path / "robot.yaml"
-    assert run("export", "--format", "extended-urdf", "--out", str(target)).returncode == 0
+    assert run("export", "extended-urdf", "--out", str(target)).returncode == 0
     kept = yaml.safe_load(Path(CLOSURES_PATH).read_text(encoding="utf-8"))
     assert yaml.safe_load(target.read_text(encoding="utf-8")) == kept
 
@@ -33,9 +33,9 @@ def test_every_format_is_what_the_writers_write(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("command", "name", "named"),
     [
-        (["export", "--format", "mjcf"], "robot.xml", 'file="meshes/tube.obj"'),
-        (["export", "--format", "sdf"], "robot.sdf", "<uri>meshes/tube.obj</uri>"),
-        (["urdf"], "robot.urdf", 'filename="meshes/tube.obj"'),
+        (["export", "mjcf"], "robot.xml", 'file="meshes/tube.obj"'),
+        (["export", "sdf"], "robot.sdf", "<uri>meshes/tube.obj</uri>"),
+        (["export", "urdf"], "robot.urdf", 'filename="meshes/tube.obj"'),
     ],
 )
 def test_meshes_are_put_beside_the_file(command: list[str], name: str, named: str, tmp_path: Path) -> None:
@@ -86,10 +86,10 @@ def test_what_does_not_go_with_a_stage(tmp_path: Path) -> None:
     spm.Stage(0.08, 0.09, spm.RRS(crank=0.05, rod=0.11)).to_yaml(file)
     for arguments, message in (
         (["mjcf", "--ball"], "--ball: expected a single stage"),
-        (["sdf", "--stage", file, "--ball"], "error: --ball cannot be used with --format sdf"),
-        (["c", "--stage", file], "--machine: expected a manipulator, for --format c, got a stage"),
+        (["sdf", "--stage", file, "--ball"], "error: --ball cannot be used with sdf"),
+        (["c", "--stage", file], "--machine: expected a manipulator, for c, got a stage"),
         (["ros2", "--machine", file], "--out: expected the directory to write into, got none"),
-        (["c-stage"], "--machine: expected a stage: its file, or --base, --platform and so on, for --format c-stage"),
+        (["c-stage"], "--machine: expected a stage: its file, or --base, --platform and so on, for c-stage"),
         (["c-stage", "--base", "80"], "--platform: expected a radius, or --machine with a file"),
     ):
         done = run("export", *arguments)

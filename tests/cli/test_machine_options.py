@@ -87,6 +87,14 @@ def test_the_nearest_tilt_of_a_stage_is_reached() -> None:
     assert (wanted["tilt"], wanted["distance"]) == (pytest.approx(10.0, abs=1e-9), 0.0)
 
 
+@pytest.mark.parametrize("height", ["300", "45", "-120"])
+def test_heights_that_are_not_reached_have_one_that_is(height: str) -> None:
+    done = run("stage", "nearest", *SIZES, "--height", height, "--tilt", "20")
+    assert done.returncode == 0
+    options = done.stdout.partition("pose: ")[2].split()
+    assert run("stage", "inverse", *SIZES[:8], *options).returncode == 0
+
+
 def test_a_stage_moves_between_tilts_by_their_options() -> None:
     ends = ["--from-height", "120", "--to-height", "120", "--to-tilt", "5", "--limits", "5", "45"]
     done = run("stage", "move", *SIZES, *ends, "--leg-acceleration", "100", "--json")

@@ -43,8 +43,9 @@ def test_what_is_not_reached_has_the_nearest_tilt() -> None:
     assert done.returncode == 3
     assert "out of reach of r_3" in out
     words, tilt = out.splitlines()[-2:]
-    assert words == "The nearest tilt that is reached:"
-    assert tilt.startswith("  --height 120.000 --tilt 26.351 --azimuth 30.00")
+    assert words.startswith("The nearest tilt that is reached is 13.648° away:")
+    assert tilt.startswith("  --height 120 --tilt 26.351")
+    assert " --azimuth 30.00" in tilt or " --azimuth 29.99" in tilt
     limits = ["--limits", "-20", "40"]
     done = run("stage", "inverse", *SIZES, *limits, "--height", "120", "--tilt", "20", "--azimuth", "30")
     out = done.stdout
@@ -77,7 +78,7 @@ def test_heights_below_the_pivots_and_in_metres_for_millimetres_have_the_cause()
     assert done.returncode == 5
     assert "No mode is physical" in done.stdout
     assert "The height is negative: below the pivots." in done.stdout
-    assert "--tilt 0.000 --azimuth 0.00000 --unit mm" in done.stdout
+    assert " --tilt 0 --azimuth 0 --unit mm" in done.stdout
     for sizes, height in ((SIZES, "0.12"), (["--base", "80", "--platform", "90", "--unit", "mm"], "0.12")):
         assert (
             "In m it would be in proportion: --unit m, for all lengths."
@@ -112,12 +113,11 @@ def test_a_file_a_reach_and_pictures(tmp_path: Path) -> None:
         ([*SIZES, "--sign", "0"], "--sign: expected +1 or -1, the working mode"),
         ([*SIZES, "--limits", "70", "-30"], "--limits: expected minimum < maximum"),
         ([*SIZES, "--azimuth", "10"], "--tilt: expected a tilt together with --azimuth"),
-        ([*SIZES, "--tilt", "10", "--pitch", "2"], "--tilt and --pitch: expected only one of: --tilt and --azimuth"),
+        ([*SIZES, "--tilt", "10", "--pitch", "2"], "expected only one of: tilt and azimuth; roll and pitch; normal"),
         ([*SIZES, "--normal", "0", "0", "0"], "--normal: expected normals of the platform"),
         ([*SIZES, "--limits", "-30", "400"], "--limits: expected angles of cranks in degrees"),
         (METRES, "--height: expected heights in metres"),
         ([*SIZES, "--tilt", "-10", "--azimuth", "0"], "--tilt: expected an angle in degrees, from 0 to less than 180"),
-        ([*SIZES, "--roll", "800"], "--roll: expected an angle in degrees, of at most one turn"),
         ([*SIZES, "--stage", "no.yaml"], "error: --machine cannot be used with --base, --platform, --crank, --rod"),
         (["--stage", "no.yaml"], "--machine"),
     ],

@@ -14,7 +14,6 @@ import pytest
 import trimesh
 import xarray
 from cli.running import COMMAND, run
-from PIL import Image
 from stores import contents, records
 
 import spm_pin as spm
@@ -53,13 +52,6 @@ def test_workspace_finds_what_this_machine_reaches(tmp_path: Path) -> None:
     assert content["volume"] == pytest.approx(1e6 * boundary.volume, abs=1.1e6 * content["volume_error"] / 1e6 + 1.0)
     assert content["limits"]["maximum"] == pytest.approx([150.0] * 6)
     assert "misprints" not in done.stdout
-
-
-def test_out_draws_sections_of_the_shell(tmp_path: Path) -> None:
-    done = run(*FEW, "--sections", "--samples", "2000", "--out", tmp_path / "sections.png")
-    assert done.returncode == 0, done.stderr
-    with Image.open(tmp_path / "sections.png") as picture:
-        assert picture.size[0] == 1530
 
 
 def test_limits_from_the_file_of_the_machine(tmp_path: Path) -> None:

@@ -61,6 +61,9 @@ def test_figures_are_written_the_same_each_time(tmp_path, suffix: str) -> None:
 def test_figures_that_cannot_be_written(tmp_path) -> None:
     with pytest.raises(ArgumentError, check=with_fields(argument="path", received=tmp_path / "fig.jpg")):
         save_figure(Figure(), tmp_path / "fig.jpg")
+    for wrong in (None, Figure().add_subplot()):
+        with pytest.raises(ArgumentError, check=with_fields(argument="figure", expected="a Figure")):
+            save_figure(wrong, tmp_path / "figure.png")
 
 
 def test_a_front_shows_its_machines_and_the_one_that_it_began_with() -> None:

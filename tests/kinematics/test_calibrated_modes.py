@@ -1,4 +1,4 @@
-"""All assembly modes of machines as built: none missed, none extra, with the labels of the drawn machine."""
+"""All assembly modes of machines as built: none missed, none extra, with labels as of the drawn machine."""
 
 from __future__ import annotations
 
@@ -35,30 +35,16 @@ def test_all_modes_and_no_others(size: float, count: int) -> None:
                 assert gaps.min(axis=0).max() < 1e-9
 
 
-@pytest.mark.parametrize(("size", "count"), [(1e-3, 1), pytest.param(1e-5, 3, marks=pytest.mark.slow)])
-def test_labels_are_carried_while_the_errors_grow(size: float, count: int) -> None:
-    """As in eighty small steps from the drawn machine, each from a mode to the nearest."""
-    machine = as_built(PAPER, size)
-    lengths = np.random.default_rng(4).uniform(1.1, 1.5, (count, 6))
-    modes = spm.forward_displacement(machine, lengths + machine.legs.offsets)
-    before = spm.forward_displacement(PAPER, lengths)
-    points, labelled = before.middle_joints, before.exists
-    drawn, built = PAPER.legs, machine.legs
-    for share in np.linspace(0.0, 1.0, 81)[1:]:
-        axes = drawn.axes + share * (built.axes - drawn.axes)
-        axes /= np.linalg.norm(axes, axis=1)[:, None]
-        arrays = (a + share * (b - a) for a, b in zip(drawn.arrays[1:3], built.arrays[1:3], strict=True))
-        legs = spm.machine.Legs(axes, *arrays, np.zeros(6))
-        between = spm.forward_displacement(spm.Manipulator(*PAPER.dimensions, legs=legs), lengths)
-        gaps = np.linalg.norm(between.middle_joints[:, None] - points[:, :, None], axis=-1).max(axis=-1)
-        nearest = np.nan_to_num(gaps, nan=np.inf).argmin(axis=-1)
-        moved = np.take_along_axis(between.middle_joints, nearest[..., None, None], axis=1)
-        labelled &= np.linalg.norm(moved - points, axis=-1).max(axis=-1) < 0.05
-        points = np.where(labelled[..., None, None], moved, np.nan)
-    carried = modes.exists & ~modes.merged
-    assert carried.mean() > 0.5
-    np.testing.assert_allclose(modes.middle_joints[carried], points[carried], atol=1e-9)
-    assert carried.sum() >= 0.99 * (labelled & modes.exists).sum()
+def test_small_errors_keep_the_labels_of_the_nominal_machine() -> None:
+    lengths = np.random.default_rng(4).uniform(1.1, 1.5, (20, 6))
+    built = as_built(PAPER, 1e-7)
+    drawn, modes = (
+        spm.forward_displacement(PAPER, lengths),
+        spm.forward_displacement(built, lengths + built.legs.offsets),
+    )
+    np.testing.assert_array_equal(modes.exists, drawn.exists)
+    real = drawn.exists
+    np.testing.assert_allclose(modes.middle_joints[real], drawn.middle_joints[real], atol=1e-3)
 
 
 def test_modes_of_a_machine_as_built_are_a_set_like_any_other() -> None:
@@ -82,15 +68,23 @@ def test_modes_of_a_machine_as_built_are_a_set_like_any_other() -> None:
     assert not far.exists.any()
 
 
-def test_labels_that_are_left_over_say_mode_and_side() -> None:
-    """With large errors nominal modes have met, and others have begun: neither has a label by being followed."""
-    machine = PAPER.perturbed(3, length=0.03, angle=0.03)
+@pytest.mark.parametrize("size", [1e-3, 0.03])
+def test_labels_say_mode_and_sheet_and_count_by_falling_radius(size: float) -> None:
+    """With large errors too, where the modes are not those of the nominal machine."""
+    machine = PAPER.perturbed(3, length=size, angle=size)
     lengths = np.array([1.096, 1.508, 1.483, 1.182, 1.532, 1.082])
     modes = spm.forward_displacement(machine, lengths + machine.legs.offsets)
-    assert modes.count == 32
+    assert modes.count >= 32
+    radii: tuple[dict[str, float], dict[str, float]] = {}, {}
     for label in np.array(modes.labels)[modes.exists]:
         state = modes[str(label)]
-        lower, upper = state.middle_joints, (state.middle_joints - state.translation) @ state.rotation
-        for name, balls, up in zip(label.split("/"), (lower, upper), (1.0, -1.0), strict=True):
-            assert (name[0] == "T") == ((balls * PAPER.radial_directions).sum() > 0.0)
+        lower, upper = state.middle_joints, (state.balls[3:] - state.translation) @ state.rotation
+        for k, (name, balls, up) in enumerate(zip(label.split("/"), (lower, upper), (1.0, -1.0), strict=True)):
+            radius = (balls * PAPER.radial_directions).sum() / 3.0
+            assert (name[0] == "T") == (radius > 0.0)
             assert (name[-1] == "+") == (up * balls[:, 2].mean() > 0.0)
+            radii[k][name] = radius
+    for of_stage in radii:
+        for mode, sheet in ("T+", "T-", "F+", "F-"):
+            own = [of_stage[name] for name in sorted(of_stage) if name[0] == mode and name[-1] == sheet]
+            assert own == sorted(own, reverse=True)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import spm_pin as spm
-from spm_pin.formulas import branches, leg_planes, stages, vectors, wrenches
+from spm_pin.formulas import branches, circles, leg_planes, stages, vectors, wrenches
 from spm_pin.formulas.operations import bind
 from spm_pin.kinematics.intervals import Interval
 
@@ -208,17 +208,18 @@ def test_what_is_physical_on_every_kind_of_number(name: str) -> None:
     for k, state in enumerate([known, *spm.inverse_displacement(MACHINE, POSE).configurations]):
         if not state.exists:
             continue
-        vectors_of_legs = state.balls, state.leg_vectors, state.leg_axes
-        halves = [mapped(runner.convert, rows(half)) for x in vectors_of_legs for half in (x[:3], x[3:])]
-        rotation = mapped(runner.convert, rows(state.rotation))
-        position = mapped(runner.convert, tuple(state.translation.tolist()))
-        physical = runner.run(branches.is_physical, *halves, rotation, position)
+        b, rotation = mapped(runner.convert, rows(state.middle_joints)), mapped(runner.convert, rows(state.rotation))
+        physical = True
+        centres, axes = state.own_circle_centres.reshape(2, 3, 3), MACHINE.legs.axes.reshape(2, 3, 3)
+        for own, up in zip(zip(state.balls_of_stages, centres, axes, strict=True), MACHINE.legs.stage_ups, strict=True):
+            stage = (mapped(runner.convert, rows(x)) for x in own)
+            physical &= bool(runner.read(runner.run(circles.is_home_state, *stage, runner.convert(float(up)))))
         is_same = np.allclose(state.middle_joints, known.middle_joints, atol=1e-9)
-        assert bool(runner.read(physical)) == (k == 0 or is_same)
+        assert physical == (k == 0 or is_same)
         b1, b2, b3 = state.middle_joints
         normal = np.cross(b2 - b1, b3 - b1) / np.linalg.norm(np.cross(b2 - b1, b3 - b1))
         normal *= np.sign(normal @ state.middle_pose.as_matrix()[:3, 2])
-        tilts = runner.read(runner.run(branches.tilt_cosine_sum, halves[0], rotation))
+        tilts = runner.read(runner.run(branches.tilt_cosine_sum, b, rotation))
         assert tilts == pytest.approx(normal[2] + normal @ state.rotation[:, 2], abs=1e-14)
     balls = MACHINE.legs.balls
     weights = runner.run(

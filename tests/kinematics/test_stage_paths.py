@@ -68,9 +68,11 @@ def test_the_turned_mode_is_followed_when_it_is_named() -> None:
 @pytest.mark.parametrize(
     ("arguments", "argument"),
     [
-        ({}, "readings"),
-        ({"readings": [[0.1] * 3] * 2, "height": 0.1}, "readings"),
-        ({"readings": [0.1] * 3}, "readings"),
+        ({}, "path"),
+        ({"path": [[0.1] * 3] * 2, "height": 0.1}, "height"),
+        ({"path": [0.1] * 3}, "path"),
+        ({"path": [np.eye(4)] * 2}, "path"),
+        ({"tilt": [0.1, 0.2], "azimuth": 0.0}, "height"),
         ({"height": 0.12, "tilt": 0.1, "azimuth": 0.0}, "height"),
         ({"height": [0.12, 0.13], "start": "X"}, "start"),
         ({"height": [0.12, 0.13], "start": 3}, "start"),

@@ -10,6 +10,7 @@ from finite_differences import extrapolated
 
 import spm_pin as spm
 from spm_pin.kinematics import MOTION, SingularityKind
+from spm_pin.kinematics.random_states import random_states
 from spm_pin.machine import Stage
 from spm_pin.workspace import ReachEnd
 
@@ -66,6 +67,21 @@ def test_what_the_joints_carry_is_in_equilibrium(machine: str) -> None:
         # The crank's actuator balances the moment of the ball's force about its axis: a turn that leads outwards.
         about = (loads.moments * np.cross(*found.machine.legs.planes)).sum(axis=-1)
         np.testing.assert_allclose(np.abs(about), np.abs(forces), atol=1e-11)
+
+
+@pytest.mark.parametrize("legs", [(spm.RPS(), spm.RPS()), (spm.RPS(), spm.RRS(crank=0.15, rod=0.35))])
+def test_the_joints_of_both_stages_of_a_manipulator_are_in_equilibrium(legs: object) -> None:
+    machine = spm.Manipulator(0.5, 0.4, 0.6, legs=legs)
+    found, wrench = random_states(machine, 20, np.random.default_rng(0)), np.array([3.0, -2.0, -50.0, 0.4, -0.6, 0.8])
+    loads = spm.kinematics.joint_loads(found, wrench)
+    arms = found.balls - found.translation[:, None]
+    for stage in (slice(3), slice(3, 6)):
+        forces = loads.balls[:, stage]
+        tolerance = 1e-12 * np.abs(forces).max()
+        np.testing.assert_allclose(forces.sum(axis=-2), np.tile(-wrench[:3], (20, 1)), atol=tolerance)
+        moments = np.cross(arms[:, stage], forces).sum(axis=-2)
+        np.testing.assert_allclose(moments, np.tile(-wrench[3:], (20, 1)), atol=tolerance)
+    np.testing.assert_allclose(loads.efforts, spm.leg_forces(found, wrench), rtol=1e-9)
 
 
 def test_a_level_tripod_carries_a_third_in_each_leg() -> None:

@@ -12,7 +12,6 @@ restoration phase end elsewhere, and stop at a measured infeasibility where noth
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -24,17 +23,9 @@ from scipy.spatial.transform import Rotation
 from spm_pin.crosscheck.ball_states import states_with_balls
 from spm_pin.crosscheck.nlp import loop_equations
 from spm_pin.crosscheck.nlp.batched_newton import LoopEquations, RootCertificate, certify_root, newton
-from spm_pin.errors import ArgumentError
 from spm_pin.machine import PoseLike, SolutionSet, Status, as_rigid_transform
 from spm_pin.machine.machine import Machine, check_machine
-from spm_pin.support.arguments import (
-    BoolArray,
-    FloatArray,
-    IntArray,
-    choice,
-    type_and_value,
-    whole_number,
-)
+from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, choice, whole_number
 
 SOLVERS = ("newton", "ipopt")
 """Names of the solvers that run from each start."""
@@ -51,12 +42,8 @@ _LEAST_SQUARES = 12
 """Starts of the least squares where no start led to a solution."""
 _DOUBLE_ROOTS = 4
 """Double roots of a pose at most, half of its roots; more solutions that are not isolated are a continuous family."""
-_DEFAULTS: dict[str, Any] = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-10}
-"""Options that the caller's replace: no output, and the tolerance [m]."""
 _INTERRUPTED = ("User_Requested_Stop", "NonIpopt_Exception_Thrown")
 """Statuses after a Ctrl-C, which CasADi swallows during a solve; the functions here throw nothing else."""
-_UNUSABLE = ("Invalid_Option", "Invalid_Problem_Definition", "Insufficient_Memory", "Internal_Error")
-"""Statuses of options that IPOPT cannot meet."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +74,6 @@ def search(
     starts: int = STARTS,
     seed: int = 0,
     solver: str = "newton",
-    options: Mapping[str, Any] | None = None,
 ) -> Search:
     """Find the branches of a pose by multi-start.
 
@@ -104,8 +90,6 @@ def search(
         Seed of the random starts. A pose's result depends on the seed and the pose only, not on its batch.
     solver : str
         "newton" or "ipopt". With either, solutions are polished by Newton's method and certified.
-    options : mapping, optional
-        Options of IPOPT, as `casadi.nlpsol` takes them: ``{"ipopt.max_iter": 50}``.
 
     Notes
     -----
@@ -118,13 +102,8 @@ def search(
     starts = whole_number(starts, "starts", "a positive whole number", least=1)
     seed = whole_number(seed, "seed", "a whole number, not negative", most=1 << 128)
     choice(solver, "solver", SOLVERS)
-    if options is not None and (not isinstance(options, Mapping) or not all(isinstance(name, str) for name in options)):
-        raise ArgumentError("options", "a mapping such as {'ipopt.max_iter': 50}", type_and_value(options))
-    if options and solver != "ipopt":
-        cause = "Did you mean solver='ipopt'?"
-        raise ArgumentError("options", f"none for the solver {solver}", ", ".join(options), cause)
     transform = as_rigid_transform(pose)
-    method = IpoptSolver(machine, options) if solver == "ipopt" else None
+    method = IpoptSolver(machine) if solver == "ipopt" else None
     equations = loop_equations_of(machine)
     runs = []
     for matrix in transform.as_matrix().reshape(-1, 4, 4):
@@ -137,17 +116,12 @@ def search(
 class IpoptSolver:
     """The square feasibility problem: no objective, the nine loop equations as constraints."""
 
-    def __init__(self, machine: Machine, options: Mapping[str, Any] | None = None) -> None:
+    def __init__(self, machine: Machine, tolerance: float = 1e-10) -> None:
         b, pose = ca.SX.sym("b", 9), ca.SX.sym("pose", 12)
         residual = loop_equations.equations(machine, b, ca.reshape(pose[:9], 3, 3), pose[9:])
-        self._options = dict(options or {})
         problem = {"x": b, "p": pose, "f": ca.SX(0), "g": residual}
-        try:
-            self._solver = ca.nlpsol("inverse", "ipopt", problem, {**_DEFAULTS, **self._options})
-        except (RuntimeError, NotImplementedError) as refused:
-            reason = str(refused).strip().splitlines()[-1].split(": ", 1)[-1]
-            expected = "options of casadi.nlpsol such as {'ipopt.max_iter': 50}"
-            raise ArgumentError("options", expected, self._options, reason) from refused
+        quiet: dict[str, Any] = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes"}
+        self._solver = ca.nlpsol("inverse", "ipopt", problem, {**quiet, "ipopt.tol": tolerance})
 
     def __call__(self, starts: FloatArray, matrix: FloatArray) -> FloatArray:
         """Return where each start (n, 9) [m] ends for a pose (4, 4)."""
@@ -162,11 +136,8 @@ class IpoptSolver:
                 if isinstance(error.__cause__, KeyboardInterrupt) or str(error).rstrip().endswith("KeyboardInterrupt"):
                     raise KeyboardInterrupt from None
                 raise
-            status = str(self._solver.stats()["return_status"])
-            if status in _INTERRUPTED:
+            if str(self._solver.stats()["return_status"]) in _INTERRUPTED:
                 raise KeyboardInterrupt
-            if status in _UNUSABLE:
-                raise ArgumentError("options", "options that this IPOPT can meet", self._options, status)
         return ends
 
 

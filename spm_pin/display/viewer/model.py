@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
@@ -165,10 +166,11 @@ class SessionState(ShownState):
         return notes
 
 
-class Model:
+class Model(ABC):
     """A session's state and its transitions; `file` is the file of the machine. Not thread-safe."""
 
     state: ShownState
+    kind: ClassVar[type[ShownState]] = ShownState
 
     def __init__(self, file: Path | None) -> None:
         self.file = file
@@ -179,6 +181,74 @@ class Model:
         load = real_array(wrench, "wrench", (6,), "(f, m) at the platform's origin in {B} in N and N m")
         self.state = replace(self.state, wrench=load)
         return self.state
+
+    def set_readings(self, readings: npt.ArrayLike) -> Any:
+        """Move to readings of all encoders in the assembly mode, as far as it exists."""
+        before = self.state.shown
+        target = read_readings(before.machine, readings)
+        # The physical mode is solved directly, without following a path.
+        shown = forward_physical(before.machine, target, near=None if before.is_at_home else before)
+        share, remarks = 1.0, []
+        if not shown.exists:
+            shown, share = last_on_line(before, target)
+        if share < 1.0:
+            text = f"a forward singularity is in the way. Shown: the last on the way, at {100 * share:.0f} %."
+            remarks = [f"These readings are not reached: {text}"]
+        return self._show(shown.pose, shown, remarks=remarks)
+
+    def place(self, configuration: Configuration) -> Any:
+        """Show a configuration."""
+        return self._show(configuration.pose, configuration, jump=True)
+
+    def _show(
+        self,
+        target: RigidTransform,
+        shown: Configuration,
+        *,
+        distance: float = 0.0,
+        remarks: Sequence[str] = (),
+        jump: bool = False,
+    ) -> Any:
+        """Replace the state; after a `jump` no singularity counts as crossed."""
+        self.state = self.kind(target, shown, distance, self.state.wrench, tuple(remarks))
+        return self.state
+
+    def reading_ranges(self) -> FloatArray:
+        """Return the ends (legs, 2) of the legs' sliders, in the units of readings."""
+        shown = self.state.shown
+        machine, now = shown.machine, np.array(shown.readings)
+        longest, legs, limits = 3.0 * machine.size, machine.legs, machine.limits
+        are_lengths = np.array(legs.units) == "m"
+        high, low = np.where(are_lengths, longest, 1.5 * np.pi), np.where(are_lengths, -longest, -0.5 * np.pi)
+        low = np.maximum(low, legs.least_readings + 0.02 * machine.size)
+        if limits is not None:
+            low, high = np.maximum(low, limits.minimum), np.minimum(high, limits.maximum)
+        low, high = np.minimum(low, now), np.maximum(high, now)
+        if shown.is_at_home and (limits is None or not limits.are_finite):
+            solve = partial(forward_physical, machine)
+            for ends in (low, high):
+                shares = existing_share(solve, now, now + np.diag(ends - now), parts=_STEPS, rounds=1)
+                ends[:] = now + shares * (ends - now)
+        return np.stack([low, high], axis=-1)
+
+    @abstractmethod
+    def command(self, digits: int | None = 7) -> str:
+        """Return the `spm-pin inverse` command for the state shown, to a number of decimals, or to float64's digits."""
+
+    def data(self) -> dict[str, Any]:
+        """Return the state shown as data for JSON, in metres, radians and newtons."""
+        state, shown = self.state, self.state.shown
+        names = shown.machine.legs.names
+        return {
+            "geometry": {"leg_limits": None, **shown.machine.as_data()},
+            "pose": shown.pose.as_matrix(),
+            "reached": state.distance == 0.0,
+            "readings": dict(zip(names, shown.readings, strict=True)),
+            "closure_residual": shown.closure_residual,
+            "wrench": state.wrench,
+            "leg_forces": None if state.forces is None else dict(zip(names, state.forces, strict=True)),
+            "command": self.command(digits=None),
+        }
 
 
 class ViewerModel(Model):
@@ -222,17 +292,6 @@ class ViewerModel(Model):
             return self._show(target, shown)
         return self._show(target, shown, distance=distance, remarks=[_out_of_reach(solutions, label, distance)])
 
-    def set_readings(self, readings: npt.ArrayLike) -> SessionState:
-        """Move to encoder readings (6,) in the assembly mode, as far as it exists."""
-        before = self.state.shown
-        target = read_readings(before.machine, readings)
-        # The physical mode is solved directly, without following a path.
-        shown = forward_physical(before.machine, target, near=None if before.is_at_home else before)
-        share = 1.0
-        if not shown.exists:
-            shown, share = last_on_line(before, target)
-        return self._show(shown.pose, shown, remarks=readings_remarks(share))
-
     def select(self, label: str) -> SessionState:
         """Take another branch of the shown pose; raise `ArgumentError` if it does not exist."""
         before = self.state
@@ -240,10 +299,6 @@ class ViewerModel(Model):
             raise ArgumentError("label", f"one of {', '.join(before.labels) or 'no branches'}", repr(label))
         self.place(before.solutions[label])
         return self.drag(before.target)
-
-    def place(self, configuration: Configuration) -> SessionState:
-        """Show a configuration."""
-        return self._show(configuration.pose, configuration, jump=True)
 
     def pose_of(self, coordinates: FloatArray, convention: str) -> RigidTransform:
         """Return the pose of coordinates (6,) as `coordinates` returns them."""
@@ -261,11 +316,6 @@ class ViewerModel(Model):
         ends = now + np.stack([steps.min(axis=0, initial=0.0), steps.max(axis=0, initial=0.0)])
         ends[:, 3:] = np.clip(ends[:, 3:], -180.0, 180.0)
         return np.asarray(ends.T)
-
-    def reading_ranges(self) -> FloatArray:
-        """Return the ends (6, 2) of the legs' sliders, in the units of readings."""
-        shown = self.state.shown
-        return ranges_of_readings(shown, partial(forward_physical, shown.machine) if self.state.is_physical else None)
 
     def command(self, digits: int | None = 7) -> str:
         """Return the `spm-pin inverse` command for the state shown, to a number of decimals, or to float64's digits."""
@@ -285,27 +335,19 @@ class ViewerModel(Model):
         state, shown, kind = self.state, self.state.shown, self.state.singularities
         numbers = {name: getattr(kind, name) for name in ("sigma", "condition", "scaled_determinants")}
         numbers["leg_travel"] = state.travel
-        return {
-            "geometry": {"leg_limits": None, **shown.machine.as_data()},
+        return super().data() | {
             "branch": state.label or None,
-            "pose": shown.pose.as_matrix(),
             "translation": shown.translation,
             "xyx": np.deg2rad(pose_coordinates(shown.pose)[3:]),
             "rpy": np.deg2rad(pose_coordinates(shown.pose, "roll, pitch, yaw")[3:]),
-            "reached": state.distance == 0.0,
             "leg_lengths": dict(zip(LEGS, shown.leg_lengths, strict=True)),
-            "readings": dict(zip(LEGS, shown.readings, strict=True)),
             "middle_joints": shown.middle_joints,
-            "closure_residual": shown.closure_residual,
             "q": dict(zip(self.joints, self.values(), strict=True)),
             "physical": state.is_physical,
             "singularity": {
                 "kind": str(SingularityKind(int(kind.kind))),
                 **{name: dict(zip(("J_b", "J_c", "K"), row, strict=True)) for name, row in numbers.items()},
             },
-            "wrench": state.wrench,
-            "leg_forces": None if state.forces is None else dict(zip(LEGS, state.forces, strict=True)),
-            "command": self.command(digits=None),
         }
 
     def _show(
@@ -374,12 +416,6 @@ def excess_warnings(shown: Configuration, forces: FloatArray | None) -> list[str
     return warnings if forces is not None else [*warnings, "The legs cannot hold every load here."]
 
 
-def readings_remarks(share: float) -> list[str]:
-    """Return a warning if readings are reached only up to a fraction of the path."""
-    text = f"a forward singularity is in the way. Shown: the last on the way, at {100 * share:.0f} %."
-    return [f"These readings are not reached: {text}"] if share < 1.0 else []
-
-
 def length_text(value: float, digits: int = 0) -> str:
     """Return a length in millimetres, or a long one in metres."""
     return f"{fixed(1e3 * value, digits)} mm" if abs(value) < 9.9995 else f"{fixed(value, 1)} m"
@@ -427,20 +463,3 @@ def _sampled_poses(machine: Manipulator) -> tuple[RigidTransform, KDTree]:
     """Return the poses (n,) of `sampled_states`, and the search tree of the places of their platform joints."""
     states = sampled_states(machine)
     return states.pose, KDTree(states.platform_joints.reshape(-1, 9))
-
-
-def ranges_of_readings(configuration: Configuration, solve: Callable[[FloatArray], Configuration] | None) -> FloatArray:
-    """Return the ranges of either machine; `solve` finds physical states, None if `configuration` is not physical."""
-    machine, now = configuration.machine, np.array(configuration.readings)
-    longest, legs, limits = 3.0 * machine.size, machine.legs, machine.limits
-    are_lengths = np.array(legs.units) == "m"
-    high, low = np.where(are_lengths, longest, 1.5 * np.pi), np.where(are_lengths, -longest, -0.5 * np.pi)
-    low = np.maximum(low, legs.least_readings + 0.02 * machine.size)
-    if limits is not None:
-        low, high = np.maximum(low, limits.minimum), np.minimum(high, limits.maximum)
-    low, high = np.minimum(low, now), np.maximum(high, now)
-    if solve is not None and (limits is None or not limits.are_finite):
-        for ends in (low, high):
-            shares = existing_share(solve, now, now + np.diag(ends - now), parts=_STEPS, rounds=1)
-            ends[:] = now + shares * (ends - now)
-    return np.stack([low, high], axis=-1)

@@ -4,28 +4,16 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Sequence
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from spm_pin.display.viewer.model import (
-    Measure,
-    Model,
-    ShownState,
-    excess_warnings,
-    ranges_of_readings,
-    readings_remarks,
-)
+from spm_pin.display.viewer.model import Measure, Model, ShownState, excess_warnings
 from spm_pin.display.writing import fixed
 from spm_pin.kinematics import inverse_physical, singularities
-from spm_pin.kinematics.forward_displacement import forward_physical
-from spm_pin.kinematics.path_following import existing_share
-from spm_pin.kinematics.readings import read_readings
 from spm_pin.kinematics.stage_displacement import normals_of_request
 from spm_pin.machine import Configuration, Stage
 from spm_pin.support.arguments import FloatArray
@@ -76,7 +64,7 @@ class StageModel(Model):
     """A stage's state and its transitions, from a physical configuration."""
 
     state: StageState
-
+    kind = StageState
     conventions: ClassVar[dict[str, tuple[str, ...]]] = {
         _ROLL: ("height [mm]", "roll [°]", "pitch [°]"),
         _TILT: ("height [mm]", "tilt [°]", "azimuth [°]"),
@@ -89,13 +77,13 @@ class StageModel(Model):
         self._stage = start.machine
         self.state = StageState(start.pose, start, 0.0, np.zeros(6))
 
-    def drag(self, target: RigidTransform) -> StageState:
+    def drag(self, target: RigidTransform) -> Any:
         """Move to the normal and the height of a pose, or to the nearest reachable ones."""
         stage, normal, height = self._stage, target.rotation.as_matrix()[:, 2], float(target.translation[2])
         wanted = inverse_physical(stage, height, normal=normal)
         held = self.hold_limits and not self.state.shown.limit_excess.any()
         if wanted.exists and not (held and wanted.limit_excess.any()):
-            return self._show(wanted)
+            return self._show(wanted.pose, wanted)
         free = stage if held else Stage(stage.base_radius, stage.platform_radius, stage.legs)
         shown = nearest_reachable_pose(free, height, normal=normal).configuration
         shown = Configuration(stage, shown.pose) if shown.exists else self.state.shown
@@ -104,35 +92,8 @@ class StageModel(Model):
         distance = float(np.linalg.norm(Configuration(stage, pose).balls - shown.balls)) / math.sqrt(3.0)
         why = wanted.missing_reason or "beyond the leg limits"
         away = f"{fixed(1e3 * distance, 1)} mm away" if distance > 1e-4 else "less than 0.1 mm away"
-        return self._show(shown, pose, distance, [f"Out of reach: {why}. Shown: the nearest reachable tilt, {away}."])
-
-    def set_readings(self, readings: npt.ArrayLike) -> StageState:
-        """Move to encoder readings (3,) as far as the platform's mode exists."""
-        wanted = read_readings(self._stage, readings)
-
-        def solve(readings: FloatArray) -> Configuration:
-            return forward_physical(self._stage, readings)
-
-        before, share, shown = self.state.shown.readings, 1.0, solve(wanted)
-        if not shown.exists:
-            share = float(existing_share(solve, before, wanted[None])[0])
-            shown = solve(before + share * (wanted - before)) if share else self.state.shown
-        return self._show(shown, remarks=readings_remarks(share))
-
-    def place(self, configuration: Configuration) -> StageState:
-        """Show a configuration."""
-        return self._show(configuration)
-
-    def _show(
-        self,
-        shown: Configuration,
-        target: RigidTransform | None = None,
-        distance: float = 0.0,
-        remarks: Sequence[str] = (),
-    ) -> StageState:
-        target = shown.pose if target is None else target
-        self.state = StageState(target, shown, distance, self.state.wrench, tuple(remarks))
-        return self.state
+        remarks = [f"Out of reach: {why}. Shown: the nearest reachable tilt, {away}."]
+        return self._show(pose, shown, distance=distance, remarks=remarks)
 
     def coordinates(self, pose: RigidTransform, convention: str) -> FloatArray:
         """Return the values of the pose's sliders."""
@@ -153,11 +114,7 @@ class StageModel(Model):
         ends = [(-largest, largest)] * 2 if convention == _ROLL else [(0.0, largest), (-180.0, 180.0)]
         return np.array([1e3 * heights, *ends])
 
-    def reading_ranges(self) -> FloatArray:
-        """Return the ends (3, 2) of the legs' sliders, in the units of readings."""
-        return ranges_of_readings(self.state.shown, partial(forward_physical, self._stage))
-
-    def command(self) -> str:
+    def command(self, digits: int | None = None) -> str:
         """Return the command line for the state shown, with a file for a stage that dimensions do not describe."""
         stage, (height, roll, pitch) = self._stage, _coordinates(self.state.shown, _ROLL).tolist()
         typed = f"--stage {'FILE' if self.file is None else shlex.quote(str(self.file))}"
@@ -178,19 +135,9 @@ class StageModel(Model):
 
     def data(self) -> dict[str, Any]:
         """Return the state shown as data for JSON, in metres, radians and newtons."""
-        state, shown = self.state, self.state.shown
-        pose = "tilt", "azimuth", "roll", "pitch", "height", "shift", "torsion"
-        names = *pose, "readings", "balls", "closure_residual"
-        return {
-            "stage": self._stage.as_data(),
-            "pose": shown.pose.as_matrix(),
-            "reached": state.distance == 0.0,
-            **{name: getattr(shown, name) for name in names},
-            "singularity": {measure.name: measure.sigma for measure in state.measures},
-            "wrench": state.wrench,
-            "leg_forces": state.forces,
-            "command": self.command(),
-        }
+        names = "tilt", "azimuth", "roll", "pitch", "height", "shift", "torsion", "balls"
+        singular = {measure.name: measure.sigma for measure in self.state.measures}
+        return super().data() | {name: getattr(self.state.shown, name) for name in names} | {"singularity": singular}
 
 
 def _coordinates(state: Configuration, convention: str) -> FloatArray:

@@ -111,8 +111,8 @@ def home_states(centres, radii, axes, balls, ups, joints, is_elsewhere):
         for n in range(len(radii)):
             stage = circles_at(axes[leg:], centres[n, leg:], radii[n, leg:], squares)
             first = first_step(stage, level_balls(stage, own, ups[k]))
-            e, b, converged = solution(stage, first.directions, first.step)
-            is_home = is_home_state(stage, e, b, ups[k])
+            _, b, converged = solution(stage, first.directions, first.step)
+            is_home = is_home_state(b, stage.centres, stage.axes, ups[k])
             is_short = min(radii[n, leg : leg + 3]) < _SHORT * max(radii[n, leg : leg + 3])
             is_elsewhere[n, k] = not is_home if converged else is_short
             joints[n, k] = np.nan
@@ -142,34 +142,25 @@ def follow_states(joints, start, start_radii, end, end_radii, axes, balls, end_j
                 put_rows(b, end_joints[n, k])
 
 
-@kernel(f"void({readonly_array(3)}, {readonly_array(2)}, f8[:,:,::1], f8[:,::1])")
-def platform_frames(joints, balls, rotation, position):
-    """Write the poses R (N, 3, 3) and t (N, 3) [m] of a platform with these balls, which are `balls` in its frame."""
-    own = rows_at(balls, 0)
-    own_axes = triangle_axes(own)
-    for n in range(len(joints)):
-        b = rows_at(joints[n], 0)
-        turn, place = frame_of_triangle(triangle_axes(b), own_axes, b, own)
-        put_rows(turn, rotation[n])
-        position[n, 0], position[n, 1], position[n, 2] = place
-
-
 @kernel(f"void({readonly_array(4)}, {readonly_array(2)}, f8[:,:,::1], f8[:,::1], f8[:,:,::1])")
 def join_stages(stages, balls, rotation, position, joints):
-    """Put the states of a lower and of an upper stage together, whose balls (N, 2, 3, 3) [m] are in {B} and in {m}.
+    """Put the states of m stages together, 1 or 2, whose balls (N, m, 3, 3) [m] are in {B} and in {m}.
 
-    Written are R (N, 3, 3), o (N, 3) [m] and the b_i (N, 3, 3) [m], NaN where either has none.
+    Written are R (N, 3, 3) and o (N, 3) [m] of the platform, and of two stages the b_i (N, 3, 3) [m], NaN where either
+    has no state. `balls` (3m, 3) [m] are in the middle platform's frame.
     """
-    own, own_upper = rows_at(balls, 0), rows_at(balls, 3)
+    count = stages.shape[1]
+    own, own_upper = rows_at(balls, 0), rows_at(balls, 3 * count - 3)
     axes, axes_upper = triangle_axes(own), triangle_axes(own_upper)
     for n in range(len(stages)):
-        b, c = rows_at(stages[n, 0], 0), rows_at(stages[n, 1], 0)
-        turn, place = frame_of_triangle(triangle_axes(b), axes, b, own)
-        turn_m, place_m = frame_of_triangle(triangle_axes(c), axes_upper, c, own_upper)
-        r, o = pose_of_frames(turn, place, turn_m, place_m)
+        b, c = rows_at(stages[n, 0], 0), rows_at(stages[n, count - 1], 0)
+        r, o = frame_of_triangle(triangle_axes(b), axes, b, own)
+        if count == 2:
+            turn_m, place_m = frame_of_triangle(triangle_axes(c), axes_upper, c, own_upper)
+            r, o = pose_of_frames(r, o, turn_m, place_m)
+            joints[n] = np.nan
+            # Not numbers where either stage has no state.
+            if o[0] == o[0]:
+                put_rows(b, joints[n])
         put_rows(r, rotation[n])
         position[n, 0], position[n, 1], position[n, 2] = o
-        joints[n] = np.nan
-        # Not numbers where either stage has no state.
-        if o[0] == o[0]:
-            put_rows(b, joints[n])

@@ -17,20 +17,21 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from spm_pin.formulas.ball_motions import points_from_platform
 from spm_pin.formulas.branches import (
     discriminant,
     families,
     is_continuous,
     is_other_preferred,
-    is_physical,
     middle_joints,
     pose_frame,
     quaternion,
     root,
     tilt_cosine_sum,
 )
+from spm_pin.formulas.circles import is_home_state
 from spm_pin.formulas.joint_values import triangle_axes
-from spm_pin.formulas.leg_planes import StageLegs, StagePlanes, carried, quadric
+from spm_pin.formulas.leg_planes import StagePlanes, quadric
 from spm_pin.formulas.stages import cartesian
 from spm_pin.formulas.vectors import (
     Rows,
@@ -269,14 +270,9 @@ def _follow(
 
 
 @jit_inline
-def _leg_vectors(b: Rows, c: Rows, machine: FloatArray, rotation: Rows, position: Vector) -> tuple[Rows, Rows, Rows]:
-    """Return the lower legs from pivot to ball, the upper ones from ball to pivot, and the upper axes, in {B}."""
-    upper = carried(StageLegs(rows_at(machine[0], 3), rows_at(machine[1], 3)), rotation, position)
-    return differences(b, rows_at(machine[1], 0)), differences(upper.pivots, c), upper.axes
-
-
-@jit_inline
-def _put_lengths(lower: Rows, upper: Rows, unit: float, lengths: FloatArray) -> None:
+def _put_lengths(b: Rows, c: Rows, machine: FloatArray, unit: float, lengths: FloatArray) -> None:
+    """Write the distances of lower balls in {B}, and upper ones in {m}, from their pivots."""
+    lower, upper = differences(b, rows_at(machine[1], 0)), differences(c, rows_at(machine[1], 3))
     below, above = dots(lower, lower), dots(upper, upper)
     for i in range(3):
         lengths[i], lengths[3 + i] = math.sqrt(below[i]) * unit, math.sqrt(above[i]) * unit
@@ -356,9 +352,8 @@ def calibrated_branches(
                 status[n] = OK
                 is_carried[n, label] = is_carried[n, label] % 2
                 b, c = _image(real_part(roots, k), scratch.planes)
-                lower, upper, _ = _leg_vectors(b, c, machines[1], turn, place)
                 put_rows(multiples(units, b), joints[n, label])
-                _put_lengths(lower, upper, unit, lengths[n, label])
+                _put_lengths(b, points_from_platform(c, turn, place), machines[1], unit, lengths[n, label])
 
 
 @jit
@@ -446,7 +441,9 @@ def calibrated_physical_branch(
     """
     scratch, elimination, own = _allocate_pose_scratch(), allocate_elimination(), np.empty(6)
     all_roots, nearest = np.empty(8 * POINTS), np.zeros(ROWS * POINTS)
-    axes, error = rows_at(machines[1, 0], 0), np.abs(machines[1] - machines[0]).max()
+    axes, upper_axes = rows_at(machines[1, 0], 0), rows_at(machines[1, 0], 3)
+    pivots, upper_pivots = rows_at(machines[1, 1], 0), rows_at(machines[1, 1], 3)
+    error = np.abs(machines[1] - machines[0]).max()
     for n in range(len(position)):
         rotation_copy[n], position_copy[n], joints[n], lengths[n] = np.nan, np.nan, np.nan, np.nan
         turn, place = _read_pose(rotation, position, n, unit)
@@ -466,10 +463,10 @@ def calibrated_physical_branch(
                 if not is_real(roots, k):
                     continue
                 b, c = _image(real_part(roots, k), scratch.planes)
-                lower, upper, upper_axes = _leg_vectors(b, c, machines[1], turn, place)
-                if not is_physical(b, c, lower, upper, axes, upper_axes, turn, place):
+                c = points_from_platform(c, turn, place)
+                if not (is_home_state(b, pivots, axes, 1.0) and is_home_state(c, upper_pivots, upper_axes, -1.0)):
                     continue
-                _put_lengths(lower, upper, unit, own)
+                _put_lengths(b, c, machines[1], unit, own)
                 rank, tilts = 2.0, tilt_cosine_sum(b, turn)
                 for i in range(6):
                     rank = rank if limits[0, i] <= own[i] <= limits[1, i] else 1.0

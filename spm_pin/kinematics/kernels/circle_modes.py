@@ -18,26 +18,21 @@ from spm_pin.formulas.ball_motions import frame_of_triangle, pose_of_frames
 from spm_pin.formulas.circles import (
     Circles,
     PairForm,
-    balls_at,
-    directions_to,
     eliminant,
     form_sizes,
     has_converged,
     in_first_angle,
     in_other_angle,
-    is_next_to_solution,
     newton_step,
     pair_forms,
     squared_sides,
-    stage_between,
     turn_equations,
     turn_origins,
-    turned_back,
 )
 from spm_pin.formulas.joint_values import triangle_axes
 from spm_pin.formulas.leg_constants import mean_radius
 from spm_pin.formulas.stages import pair_adjugate, pair_determinant
-from spm_pin.formulas.vectors import Rows, Vector, combinations, differences, largest, multiples, weighted
+from spm_pin.formulas.vectors import Rows, combinations, largest, multiples, weighted
 from spm_pin.formulas.wrenches import mean
 from spm_pin.kinematics.kernels.ball_circles import circles_at, solution
 from spm_pin.kinematics.kernels.compilation import (
@@ -53,9 +48,9 @@ from spm_pin.kinematics.kernels.compilation import (
     rows_at,
     vector_at,
 )
-from spm_pin.kinematics.kernels.mode_kernels import StageScratch, allocate_stage_scratch, is_countable, stage_modes
+from spm_pin.kinematics.kernels.mode_kernels import allocate_stage_scratch, is_countable, stage_modes
 from spm_pin.kinematics.kernels.quadric_newton import reciprocal
-from spm_pin.support.arguments import BoolArray, FloatArray
+from spm_pin.support.arguments import FloatArray
 
 Forms = tuple[PairForm, PairForm, PairForm]
 
@@ -76,8 +71,6 @@ _LONGEST_LEG = 50.0
 """Radius of a circle over the longest side of the triangle beyond which modes are not known to be all."""
 _NEARLY_REAL = 1e-5  # relative imaginary part from which Newton's method is first tried with real angles
 _FITS = 1e-3  # relative error of the third side up to which a pair of angles is tried
-_SHORTEST = 0.02  # a mode that needs steps below this share of the errors is said to meet another
-_SAME = 1e-3  # distance in units of r up to which a mode that was followed has arrived at a root
 # Rows of the work array of the polynomial's roots.
 _RE, _IM, _VALUE_RE, _VALUE_IM, _SLOPE_RE, _SLOPE_IM, _CROWD_RE, _CROWD_IM, _MOVED, _ROWS = range(10)
 
@@ -353,81 +346,28 @@ def real_modes(stage: Circles, found: ModeScratch, balls: FloatArray) -> tuple[i
 
 
 @jit
-def _carried(drawn: Circles, stage: Circles, start: Rows) -> tuple[Rows, bool]:
-    """Follow the balls `start` of a mode from the nominal stage to the stage itself; return them and the success.
+def _put_labelled(roots: FloatArray, count: int, up: float, balls: FloatArray) -> None:
+    """Write the balls of `count` modes `roots` (16, 3, 3) in the places of their labels, the others NaN.
 
-    The errors grow in steps, each of which is taken if `circles.is_next_to_solution`.
+    From the largest mean radius on, each takes the first label left of its mode and sheet; if none is left, of one of
+    these. `roots` is overwritten.
     """
-    b, share, length = start, 0.0, 1.0
-    while length >= _SHORTEST:
-        target = min(share + length, 1.0)
-        between = stage if target == 1.0 else stage_between(drawn, stage, target)
-        e = directions_to(between, b)
-        step = newton_step(between, e)
-        size = largest(step)
-        if is_next_to_solution(size, np.nan):
-            e = turned_back(between, e, step)
-            step = newton_step(between, e)
-            if is_next_to_solution(largest(step), size):
-                b, share, length = balls_at(between, turned_back(between, e, step)), target, 2.0 * length
-                if share == 1.0:
-                    return b, True
-                continue
-        length *= 0.5
-    return b, False
-
-
-@jit
-def _put_labelled(
-    drawn: Circles,
-    modes: FloatArray,
-    r: float,
-    stage: Circles,
-    up: float,
-    roots: FloatArray,
-    count: int,
-    balls: FloatArray,
-    merged: BoolArray,
-) -> None:
-    """Write the balls of `count` modes `roots` (16, 3, 3), NaN if missing, under the labels of the nominal `modes`.
-
-    Each of the latter is followed while the errors grow, and gives its label to the root where it ends. Where two have
-    met, labels are left over: they go to the roots left over, those of the same mode and sheet first, and are marked as
-    merged.
-    """
-    owner = np.full(MODES, -1)
     for label in range(MODES):
-        balls[label], merged[label] = np.nan, not math.isnan(modes[label, 0, 0])
-        if not merged[label]:
-            continue
-        start = multiples((r, r, r), rows_at(modes[label], 0))
-        b, arrived = _carried(drawn, stage, start)
-        if not arrived:
-            continue
-        nearest, least = -1, _SAME * r
+        balls[label] = np.nan
+    for _ in range(count):
+        chosen, most = -1, -np.inf
         for k in range(count):
-            gaps = differences(rows_at(roots[k], 0), b)
-            gap = max(largest(gaps[0]), largest(gaps[1]), largest(gaps[2]))
-            if gap < least:
-                nearest, least = k, gap
-        if nearest >= 0:
-            # Two modes that arrive at one root have met.
-            owner[nearest] = label if owner[nearest] == -1 else -2
-    for k in range(count):
-        if owner[k] >= 0:
-            merged[owner[k]] = False
-            put_rows(rows_at(roots[k], 0), balls[owner[k]])
-    for k in range(count):
-        if owner[k] >= 0:
-            continue
-        b, best, most = rows_at(roots[k], 0), -1, -1
-        half_turned, below = mean_radius(b) < 0.0, up * mean(b)[2] < 0.0
+            radius = mean_radius(rows_at(roots[k], 0))
+            if radius > most:
+                chosen, most = k, radius
+        b, best, closest = rows_at(roots[chosen], 0), -1, -1
+        half_turned, below = most < 0.0, up * mean(b)[2] < 0.0
         for label in range(MODES):
             fits = 2 * (half_turned == (label >= MODES // 2)) + (below == (label % 2 == 1))
-            if math.isnan(balls[label, 0, 0]) and fits > most:
-                best, most = label, fits
-        merged[best] = True
+            if math.isnan(balls[label, 0, 0]) and fits > closest:
+                best, closest = label, fits
         put_rows(b, balls[best])
+        roots[chosen] = np.nan
 
 
 @jit
@@ -441,72 +381,38 @@ def _put_frames(own: Rows, balls: FloatArray, frames: FloatArray) -> None:
         frames[k, 3, 0], frames[k, 3, 1], frames[k, 3, 2] = place
 
 
-@jit
-def _put_stage(
-    stage: Circles,
-    drawn: Circles,
-    sizes: Vector,
-    is_rps: bool,
-    is_nominal_rps: bool,
-    scratch: StageScratch,
-    found: ModeScratch,
-    work: FloatArray,
-    balls: FloatArray,
-    merged: BoolArray,
-) -> tuple[int, bool, bool, bool]:
-    """Write the balls of a stage's real modes (16, 3, 3), NaN for none, under the labels of the nominal stage's.
-
-    `sizes` are the circumradii of the nominal stage's triangle and pivots [m], and +1 or -1 for the side on which the
-    sheet + is; `work` (2, 16, 3, 3) is overwritten. Returned are how many modes there are, whether these are all, and,
-    of a nominal stage of RPS legs, which of T, F is continuous.
-    """
-    r, base, up = sizes
-    roots, modes = work[0], work[1]
-    epsilon, q0, q1, q2 = base / r, drawn.radii[0] / r, drawn.radii[1] / r, drawn.radii[2] / r
-    straight, half_turned = False, False
-    modes[:] = np.nan
-    if is_rps:
-        straight, half_turned = stage_modes(q0, q1, q2, epsilon, up, scratch, modes)
-    if is_nominal_rps:
-        count = 0
-        for k in range(MODES):
-            merged[k] = False
-            count += not math.isnan(modes[k, 0, 0])
-            put_rows(multiples((r, r, r), rows_at(modes[k], 0)), balls[k])
-        return count, straight or half_turned or is_countable(q0, q1, q2, epsilon), straight, half_turned
-    count, is_complete = real_modes(stage, found, roots)
-    _put_labelled(drawn, modes, r, stage, up, roots, count, balls, merged)
-    return count, is_complete, False, False
-
-
 @kernel(
-    f"void({readonly_array(3)}, {readonly_array(2)}, {readonly_array(2)}, {readonly_array(2)}, {readonly_array(3)}, "
-    "b1, b1, f8, f8, f8, f8[:,:,:,::1], b1[:,::1], b1[:,::1], i1[::1])"
+    f"void({readonly_array(3)}, {readonly_array(2)}, {readonly_array(2)}, {readonly_array(2)}, b1, f8, f8, f8, "
+    "f8[:,:,:,::1], b1[:,::1], i1[::1])"
 )
-def modes_of_stages(
-    centres, radii, axes, balls, drawn, is_rps, is_nominal_rps, r, base_radius, up, joints, merged, continuous, status
-):
-    """Find all assembly modes of N stages, under the labels of the nominal stage's.
+def modes_of_stages(centres, radii, axes, balls, is_nominal_rps, r, base_radius, up, joints, continuous, status):
+    """Find all assembly modes of N stages, under their labels.
 
-    The circles are as for `ball_circles.home_states`; `drawn` (3, 3, 3) are axes, pivots and balls [m] of the drawn
-    stage, with the circumradii of its platform and base [m]. Written are the balls (N, 16, 3, 3) [m], NaN where a mode
-    is not real; which labels are `merged` (N, 16); which of the modes T, F of a nominal stage of RPS legs are
+    The circles are as for `ball_circles.home_states`; `r` and `base_radius` [m] are the circumradii of the platform and
+    the base of a nominal stage with RPS legs, `up` is +1 or -1 for the side on which the sheet + is. Written are the
+    balls (N, 16, 3, 3) [m], NaN where a mode is not real; which of the modes T, F of a nominal stage with RPS legs are
     `continuous` (N, 2); and `Status` (N,), continuous families not counted.
     """
-    found, scratch, work = allocate_mode_scratch(), allocate_stage_scratch(), np.empty((2, MODES, 3, 3))
-    squares, sizes = squared_sides(rows_at(balls, 0)), (r, base_radius, up)
-    drawn_squares = squared_sides(rows_at(drawn[2], 0))
+    found, scratch, roots = allocate_mode_scratch(), allocate_stage_scratch(), np.empty((MODES, 3, 3))
+    squares, epsilon = squared_sides(rows_at(balls, 0)), base_radius / r
     for n in range(len(radii)):
-        stage = circles_at(axes, centres[n], radii[n], squares)
-        before = circles_at(drawn[0], drawn[1], radii[n], drawn_squares)
-        count, is_complete, straight, half_turned = _put_stage(
-            stage, before, sizes, is_rps, is_nominal_rps, scratch, found, work, joints[n], merged[n]
-        )
+        straight, half_turned = False, False
+        if is_nominal_rps:
+            first, second, third = radii[n, 0] / r, radii[n, 1] / r, radii[n, 2] / r
+            joints[n], count = np.nan, 0
+            straight, half_turned = stage_modes(first, second, third, epsilon, up, scratch, joints[n])
+            for k in range(MODES):
+                count += not math.isnan(joints[n, k, 0, 0])
+                put_rows(multiples((r, r, r), rows_at(joints[n, k], 0)), joints[n, k])
+            is_complete = straight or half_turned or is_countable(first, second, third, epsilon)
+        else:
+            count, is_complete = real_modes(circles_at(axes, centres[n], radii[n], squares), found, roots)
+            _put_labelled(roots, count, up, joints[n])
         continuous[n, 0], continuous[n, 1] = straight, half_turned
         if is_complete:
             status[n] = OK if count > 0 or straight or half_turned else UNREACHABLE
         else:
-            status[n], joints[n], merged[n] = UNSOLVED, np.nan, False
+            status[n], joints[n] = UNSOLVED, np.nan
 
 
 @kernel(

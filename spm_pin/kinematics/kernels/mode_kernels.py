@@ -56,8 +56,8 @@ _EIGHTHS = np.exp(0.125j * np.pi * np.arange(8))
 _QUARTERS = np.exp(1j * (0.5 * np.pi * np.arange(4) + 0.4))
 _SYMMETRIC = np.exp(1j * np.pi / 3.0 * np.array([0.0, 1.0, 2.0, 0.0]))
 _MOST_ITERATIONS = 60
-# What is kept of a solution: x0, x1, x2, x3, ζ, three radii, three heights, and
-_BLUR, _RANK, _AZIMUTH = 11, 12, 13
+# What is kept of a solution: three radii, three heights, and
+_BLUR, _RANK, _AZIMUTH = 6, 7, 8
 
 
 class StageScratch(NamedTuple):
@@ -66,7 +66,7 @@ class StageScratch(NamedTuple):
     roots: ComplexArray  # of the quartic (4,)
     starts: FloatArray  # where Newton's method begins (8, 4)
     ends: FloatArray  # where it ended, and the gain (16, 5)
-    kept: FloatArray  # what is kept of that (16, 14)
+    kept: FloatArray  # what is kept of that (16, 9)
 
 
 @jit
@@ -259,7 +259,7 @@ def _other_side_of_fold(stage: StageEquations, state: ModeState) -> ModeState:
 @jit_inline
 def allocate_stage_scratch() -> StageScratch:
     """Allocate the arrays that stages are solved in, one after another."""
-    return StageScratch(np.empty(4, np.complex128), np.empty((8, 4)), np.empty((16, 5)), np.empty((16, 14)))
+    return StageScratch(np.empty(4, np.complex128), np.empty((8, 4)), np.empty((16, 5)), np.empty((16, 9)))
 
 
 @jit_inline
@@ -297,7 +297,7 @@ def _distance(first: FloatArray, second: FloatArray) -> float:
     """Return how far the corners of two solutions are apart, or of one and the other's mirror image."""
     across, same, mirrored = 0.0, 0.0, 0.0
     for i in range(3):
-        radius, gap, total = first[5 + i] - second[5 + i], first[8 + i] - second[8 + i], first[8 + i] + second[8 + i]
+        radius, gap, total = first[i] - second[i], first[3 + i] - second[3 + i], first[3 + i] + second[3 + i]
         across += radius * radius
         same += gap * gap
         mirrored += total * total
@@ -346,9 +346,8 @@ def solve_mode(stage: StageEquations, half_turned: bool, is_continuous: bool, sc
             _copy(kept, place - 1, place)
             place -= 1
         row = kept[place]
-        row[0], row[1], row[2], row[3], row[4] = x0, x1, x2, x3, ends[k, 3]
-        row[5], row[6], row[7] = radii
-        row[8], row[9], row[10] = heights
+        row[0], row[1], row[2] = radii
+        row[3], row[4], row[5] = heights
         row[_BLUR], row[_RANK], row[_AZIMUTH] = min(max(16.0 * EPS * ends[k, 4], SAME), 0.01), rank, azimuth
         count += 1
 
@@ -382,7 +381,7 @@ def stage_modes(
     for m in range(2):
         stage = stage_equations(first, second, third, epsilon if m == 0 else -epsilon)
         for k in range(solve_mode(stage, m == 1, straight if m == 0 else half_turned, scratch)):
-            radii, heights = vector_at(kept[k], 5), vector_at(kept[k], 8)
+            radii, heights = vector_at(kept[k], 0), vector_at(kept[k], 3)
             for sheet in range(1 if largest(heights) <= SAME else 2):
                 b = cartesian(radii, scaled(above if sheet == 0 else -above, heights))
                 put_rows(b, balls[(m * PLACES + k) * 2 + sheet])

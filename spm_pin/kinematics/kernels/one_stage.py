@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spm_pin.formulas.circles import Circles, is_home_state
+from spm_pin.formulas.circles import is_home_state
 from spm_pin.formulas.planar_legs import (
     PRS_LEGS,
     RPS_LEGS,
@@ -104,8 +104,7 @@ def poses_of_stages(
                 rods = multiples(vector(tile, _ROD_X, k), outward)
                 rods = combinations(rods, vector(tile, _ROD_Z, k), forward)
                 b = platform_balls(matrix(tile, _ROTATION, k), vector(tile, _POSITION, k), stage.balls)
-                circles = Circles(axes, differences(b, rods), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-                tile[_HOME, k] = 1.0 if is_home_state(circles, rods, b, up) else 0.0
+                tile[_HOME, k] = 1.0 if is_home_state(b, differences(b, rods), axes, up) else 0.0
             for k in range(size):
                 n = start + k
                 is_physical[n, mode] = sign > 0.0 and tile[_HOME, k] > 0.0

@@ -6,7 +6,6 @@ import threading
 
 import numpy as np
 import pytest
-from error_fields import with_fields
 from problems import EXAMPLE, MANIPULATORS, PAPER, at_discriminant, in_leg_space, random_branches
 from scipy.spatial.transform import RigidTransform
 
@@ -135,16 +134,6 @@ def test_ipopt_finds_the_paper_s_branches_none_out_of_reach_and_prints_nothing(
     assert unreachable.infeasibility > 0.0
     captured = capfd.readouterr()
     assert captured.out == captured.err == ""
-
-
-@pytest.mark.parametrize(
-    "options", [{"ipopt.max_iters": 3}, {"foo": 1}, {"ipopt.tol": "small"}, {"ipopt.linear_solver": "ma27"}]
-)
-def test_bad_options_raise_an_argument_error(options: dict[str, object]) -> None:
-    with pytest.raises(spm.ArgumentError, check=with_fields(argument="options")):
-        nlp.search(PAPER, EXAMPLE, solver="ipopt", starts=2, options=options)
-    with pytest.raises(spm.ArgumentError, check=with_fields(argument="options")):
-        nlp.search(PAPER, EXAMPLE, options={"ipopt.max_iter": 3})
 
 
 def test_ctrl_c_during_a_solve_ends_the_search() -> None:
