@@ -13,13 +13,14 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from spm_pin.errors import ArgumentError, DescriptionError
+from spm_pin.errors import ArgumentError
 from spm_pin.loops.assembly import assemble
 from spm_pin.loops.closures import Closure, JointEquality, RobotDescription
-from spm_pin.loops.constraint_rows import ConstraintRows, scalar_joint
+from spm_pin.loops.constraint_rows import ConstraintRows, joint_of, scalar_joint
 from spm_pin.loops.dynamics_kernel import accelerate
 from spm_pin.loops.following import Follower
 from spm_pin.loops.forward_simulation import LoopMotion, simulate
+from spm_pin.loops.links import reading
 from spm_pin.loops.loop_state import LoopState
 from spm_pin.loops.mobility import Mobility, mobility
 from spm_pin.loops.state_kinematics import StateKinematics, frame_index, read_vectors
@@ -30,7 +31,6 @@ from spm_pin.support.arguments import (
     Kind,
     broadcastable,
     check_instance,
-    likely_names,
     name_sequence,
     type_and_value,
     whole_number,
@@ -115,7 +115,7 @@ class ClosedChain:
         self.actuated_in_q = self.indices_in_q(*self.actuated)
         self.actuated_in_v = self.indices_in_v(*self.actuated)
         for name in self.held:
-            self._joint(name, "held")
+            joint_of(self.model, name, "held")
         self._held_in_v = self.indices_in_v(*self.held)
         self.regular_dof = -1  # degrees of freedom at regular configurations, once they are known
         self._followers: dict[Any, Follower] = {}
@@ -125,7 +125,7 @@ class ClosedChain:
     def from_description(cls, description: RobotDescription, *, held: Sequence[str] = ()) -> Self:
         """Return the chain of a `RobotDescription`, the result of a reader."""
         check_instance(description, RobotDescription, "description")
-        try:
+        with reading(description.source):
             return cls(
                 description.model,
                 description.closures,
@@ -134,9 +134,6 @@ class ClosedChain:
                 held=held,
                 q0=description.q0,
             )
-        except ArgumentError as error:
-            where = f"{description.source}, {error.argument}"
-            raise DescriptionError(where, error.expected, error.received, error.cause) from error
 
     @classmethod
     def from_mjcf(cls, source: Any, *, actuated: Sequence[str] | None = None, held: Sequence[str] = ()) -> Self:
@@ -197,19 +194,13 @@ class ClosedChain:
 
     def indices_in_q(self, *names: str) -> IntArray:
         """Return the indices of joints in q."""
-        joints = [self._joint(name, "names") for name in names]
+        joints = [joint_of(self.model, name, "names") for name in names]
         return np.array([j.idx_q + k for j in joints for k in range(j.nq)], dtype=np.intp)
 
     def indices_in_v(self, *names: str) -> IntArray:
         """Return the indices of joints in v."""
-        joints = [self._joint(name, "names") for name in names]
+        joints = [joint_of(self.model, name, "names") for name in names]
         return np.array([j.idx_v + k for j in joints for k in range(j.nv)], dtype=np.intp)
-
-    def _joint(self, name: str, argument: str) -> Any:
-        if name not in self.joint_names:
-            cause = likely_names(name, self.joint_names, f"Its joints: {self.joint_names}")
-            raise ArgumentError(argument, "names of joints", repr(name), cause)
-        return self.model.joints[self.model.getJointId(name)]
 
     def close(self, q_guess: npt.ArrayLike | None = None) -> FloatArray:
         """Return closed joint values (nq,) near a guess (nq,), by default near `q0`.

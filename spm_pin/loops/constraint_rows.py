@@ -278,13 +278,20 @@ def _screws(model: Any) -> FloatArray:
     return screws
 
 
-def scalar_joint(model: Any, name: str, argument: str) -> Any:
-    """Return a joint of one value by its name, or raise `ArgumentError`."""
+def joint_of(model: Any, name: str, argument: str) -> Any:
+    """Return a joint by its name, or raise `ArgumentError`."""
     names = list(model.names)[1:]
-    joint = model.joints[model.getJointId(name)] if name in names else None
-    if joint is None or joint.nq != 1:
-        cause = likely_names(name, names, f"Its joints: {', '.join(names)}") if joint is None else ""
-        raise ArgumentError(argument, SCALAR_JOINTS, repr(name), cause)
+    if name not in names:
+        cause = likely_names(name, names, f"Its joints: {tuple(names)}")
+        raise ArgumentError(argument, "names of joints", repr(name), cause)
+    return model.joints[model.getJointId(name)]
+
+
+def scalar_joint(model: Any, name: str, argument: str) -> Any:
+    """Return a joint of one degree of freedom by its name, or raise `ArgumentError`."""
+    joint = joint_of(model, name, argument)
+    if joint.nq != 1:
+        raise ArgumentError(argument, SCALAR_JOINTS, repr(name))
     return joint
 
 

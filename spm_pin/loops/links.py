@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -120,6 +121,15 @@ def check_unique(names: Iterable[str], what: str, source: str) -> None:
         raise DescriptionError(source, f"a different name for each {what}", ", ".join(map(repr, twice)))
 
 
+@contextlib.contextmanager
+def reading(source: str) -> Iterator[None]:
+    """Raise errors of arguments as those of a file."""
+    try:
+        yield
+    except ArgumentError as error:
+        raise DescriptionError(f"{source}, {error.argument}", error.expected, error.received, error.cause) from error
+
+
 def describe(
     model: Any,
     closures: Sequence[Closure],
@@ -136,13 +146,10 @@ def describe(
     check_unique([closure.name for closure in closures if closure.name], "closure", source)
     q0 = next(iter(configurations.values()), pin.neutral(model) if rest is None else rest)
     names, loops = tuple(dict.fromkeys(actuated)), (tuple(closures), tuple(equalities))
-    try:
+    with reading(source):
         ConstraintRows(model, *loops, q0)
         for name in names:
             scalar_joint(model, name, "actuated")
-    except ArgumentError as error:
-        where = f"{source}, {error.argument}"
-        raise DescriptionError(where, error.expected, error.received, error.cause) from error
     return RobotDescription(model, *loops, names, q0.copy(), dict(configurations), source)
 
 

@@ -1,4 +1,4 @@
-"""Arrays by name as one argument of kernels."""
+"""Arrays and integers by name as one argument of compiled functions."""
 
 from __future__ import annotations
 
