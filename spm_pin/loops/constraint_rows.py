@@ -123,12 +123,8 @@ class ConstraintRows:
         """Note where the joints of equalities are, and their polynomials, lowest power first."""
         model, places = self.model, []
         for equality in self.equalities:
-            for name in (equality.joint, equality.driver):
-                if name is not None and not (model.existJointName(name) and _joint(model, name).nq == 1):
-                    label = f"{name!r} in that of {equality.joint!r}"
-                    raise ArgumentError("equalities", SCALAR_JOINTS, label, likely_names(name, list(model.names)[1:]))
-            driver = _joint(model, equality.driver) if equality.driver is not None else None
-            joint = _joint(model, equality.joint)
+            joint = scalar_joint(model, equality.joint, "equalities")
+            driver = None if equality.driver is None else scalar_joint(model, equality.driver, "equalities")
             places.append([joint.idx_q, joint.idx_v, driver.idx_q if driver else -1, driver.idx_v if driver else -1])
         self.equality_places: IntArray = np.array(places, dtype=np.intp).reshape(-1, 4)
         degree = max((len(e.coefficients) for e in self.equalities), default=1)
@@ -282,17 +278,13 @@ def _screws(model: Any) -> FloatArray:
     return screws
 
 
-def _joint(model: Any, name: str) -> Any:
-    return model.joints[model.getJointId(name)]
-
-
 def joint_of(model: Any, name: str, argument: str) -> Any:
     """Return a joint by its name, or raise `ArgumentError`."""
     names = list(model.names)[1:]
     if name not in names:
         cause = likely_names(name, names, f"Its joints: {tuple(names)}")
         raise ArgumentError(argument, "names of joints", repr(name), cause)
-    return _joint(model, name)
+    return model.joints[model.getJointId(name)]
 
 
 def scalar_joint(model: Any, name: str, argument: str) -> Any:

@@ -186,7 +186,7 @@ CHANGES = {
     "infinite": ('xyz="0.3 0 0"', 'xyz="inf 0 0"', "3 finite numbers"),
     "negative mass": ('mass value="1"', 'mass value="-1"', "not negative"),
     "no mass": ('<mass value="1"/>', "", "<mass> and <inertia> in <inertial>"),
-    "a mimic of nothing": ('mimic joint="turn"', 'mimic joint="gone"', "hinges and slides"),
+    "a mimic of nothing": ('mimic joint="turn"', 'mimic joint="gone"', "names of joints"),
     "a motor of nothing": ('"m"><joint name="turn"', '"m"><joint name="gone"', "names of joints"),
     "a drake joint": ("</robot>", '<drake:joint name="b" type="ball"/></robot>', "a joint of URDF"),
     "half a tag": ('<drake:ball_constraint_body_B name="rocker"/>', "", "a tag drake:ball_constraint_body_B"),
