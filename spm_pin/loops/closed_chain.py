@@ -273,8 +273,9 @@ class ClosedChain:
     def compile(self) -> None:
         """Compile paths, batches and forward dynamics, once for all robots and sessions: half a minute, later a second.
 
-        `forward` and `inverse` do so by themselves after some hundreds of steps in a process, and `forward_dynamics`
-        for large batches. A control loop calls this before it starts, so that no call waits for the compiler.
+        `forward` and `inverse` load what is compiled after some hundreds of steps in a process, and compile it after
+        some thousands; `forward_dynamics` does for large batches. A control loop calls this before it starts, so that
+        no call waits for the compiler.
         """
         self._follower(None, ()).compile()
         self.compile_dynamics()

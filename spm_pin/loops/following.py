@@ -20,9 +20,9 @@ from spm_pin.loops.state_kinematics import StateKinematics
 from spm_pin.loops.tree_kernel import UNLIMITED, aim, linearised, moved, residual, tree_of
 from spm_pin.support.arguments import BoolArray, FloatArray
 
-FEW = 200
-"""Number of steps of paths in a process that are interpreted, in one to eight milliseconds each. For further ones the
-kernel is loaded, which takes half a second, or compiled, once, in about 20 s."""
+FEW, MANY = 200, 4000
+"""Numbers of steps of paths in a process that are interpreted, in one to eight milliseconds each, before the kernel is
+loaded, which takes half a second, and before it is compiled, once, in about 20 s."""
 BASE_AT_ORIGIN = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 """Position and quaternion of a free joint."""
 DEPENDENT = 1e-7
@@ -32,8 +32,8 @@ DEPENDENT = 1e-7
 class Follower:
     """Paths of one chain to values of its actuated joints, or to poses of a frame."""
 
-    interpreted_steps = FEW
-    """Number of steps, for all chains in this process, that may still be interpreted."""
+    interpreted_steps, must_compile = FEW, False
+    """Number of steps, for all chains in this process, that may still be interpreted, and whether loading was tried."""
 
     def __init__(self, chain: Any, frame: str | None, chosen: Sequence[int]) -> None:
         model, self.chain = chain.model, chain
@@ -101,7 +101,7 @@ class Follower:
                 starts[:, self._bases] = self._at_origin
         aims = np.array(targets, order="C").reshape(len(targets), self._width)
         tree, status = self.tree, UNFINISHED
-        if not run.is_loaded and len(targets) <= Follower.interpreted_steps:
+        while status == UNFINISHED and _is_interpreted(len(targets)):
             tree.steps_left[0] = Follower.interpreted_steps
             k, status, done, steps = run.interpreted(tree, starts, aims, is_path, results)
             Follower.interpreted_steps, tree.steps_left[0] = int(tree.steps_left[0]), UNLIMITED
@@ -175,6 +175,16 @@ class Follower:
                 kinematics.evaluate(assemble(kinematics, pin.integrate(model, q, away), self._movable))
                 rank = max(rank, _rank(kinematics.scaled_jacobian[:, self._movable]))
         return len(self._movable) - rank
+
+
+def _is_interpreted(targets: int) -> bool:
+    """Return whether paths to so many targets begin interpreted."""
+    if run.is_loaded:
+        return False
+    if targets > Follower.interpreted_steps and not Follower.must_compile:
+        Follower.must_compile = True
+        Follower.interpreted_steps += 0 if run.is_kept() else MANY
+    return targets <= Follower.interpreted_steps
 
 
 def _rank(jacobian: FloatArray) -> int:

@@ -54,6 +54,26 @@ class Kernel:
         with np.errstate(all="ignore"):
             return self._function(*arguments)
 
+    def is_kept(self) -> bool:
+        """Return whether Numba's cache has the function, so that a first call only loads it."""
+        import numba
+
+        try:
+            place = Path(str(numba.njit(cache=True)(self._named()).stats.cache_path))
+        except RuntimeError:  # nowhere to keep it
+            return False
+        return any(place.glob(f"*{self._function.__qualname__}-*.nbi"))
+
+    def _named(self) -> Callable[..., Any]:
+        """Return the function, whose name ends with a digest of all that is compiled.
+
+        Numba's cache looks at one file alone.
+        """
+        if not hasattr(self, "_digest"):
+            self._digest = hashlib.sha256(b"".join(Path(module).read_bytes() for module in self._modules)).hexdigest()
+            self._function.__qualname__ = f"{self._function.__name__}_{self._digest[:16]}"
+        return self._function
+
     def _first_call(self, *arguments: Any) -> Any:
         import numba
         from numba.core import event
@@ -64,17 +84,15 @@ class Kernel:
             if not self.is_loaded:
                 while _pending:
                     register(*_pending.pop())
-                # Numba's cache looks at one file alone: the name that is kept has a digest of all that is compiled.
-                digest = hashlib.sha256(b"".join(Path(module).read_bytes() for module in self._modules)).hexdigest()
-                self._function.__qualname__ = f"{self._function.__name__}_{digest[:16]}"
+                function = self._named()
                 signature = tuple(map(numba.typeof, arguments))
                 compiled: Any
                 try:
                     with event.install_listener("numba:compile", Announcement()):
-                        compiled = numba.njit(signature, error_model="numpy", nogil=True, cache=True)(self._function)
+                        compiled = numba.njit(signature, error_model="numpy", nogil=True, cache=True)(function)
                 except Exception as error:  # nowhere to keep it, or a damaged file, which may raise anything
                     _LOG.warning("spm_pin: Numba's cache cannot be used, see NUMBA_CACHE_DIR: %r", error)
-                    compiled = numba.njit(signature, error_model="numpy", nogil=True)(self._function)
+                    compiled = numba.njit(signature, error_model="numpy", nogil=True)(function)
                 # The function behind the dispatcher, which looks for the types of all arguments in a microsecond.
                 self.call, self.is_loaded = next(iter(compiled.overloads.values())).entry_point, True
         return self.call(*arguments)

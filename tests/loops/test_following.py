@@ -20,6 +20,7 @@ from spm_pin.loops import following
 from spm_pin.loops.closed_chain import ClosedChain
 from spm_pin.loops.closures import Anchor, JointEquality
 from spm_pin.loops.continuation import run
+from spm_pin.loops.kernel import Kernel
 from spm_pin.loops.state_kinematics import StateKinematics
 from spm_pin.loops.tree_kernel import aim, linearised, moved
 from tests.loops.robots import ROBOTS, ankle, at, closure, delta, five_bar, four_bar, hinge, pose_of, stewart
@@ -74,6 +75,7 @@ def test_far_targets_are_reached_in_the_mode_or_not_at_all(chain: ClosedChain) -
 def test_compiled_and_interpreted_agree(chain: ClosedChain) -> None:
     targets = far_targets(chain, following.FEW + 1, 0.2)
     starts = np.broadcast_to(chain.q0, (len(targets), chain.model.nq))
+    chain.compile()
     batch = chain.forward(targets, starts)
     few, interpreted = slice(10), np.empty_like(batch[:10])
     reached, status, *_ = run.interpreted(
@@ -221,15 +223,33 @@ def test_inverse_of_a_platform_is_that_of_forward() -> None:
     assert_allclose(many, np.broadcast_to(q, many.shape), atol=1e-12)
 
 
-def test_path_of_more_steps_than_are_interpreted_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
-    chain, kernel = four_bar(), following.run
+@pytest.mark.parametrize("is_kept", [True, False])
+def test_path_of_many_steps_goes_on_compiled_if_that_is_kept(is_kept: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    chain, kernel, calls = four_bar(), following.run, []
     targets = chain.q0[:1] + 2.0 * np.pi * np.array([[0.5], [1.0]])
     expected = chain.forward(targets, chain.q0)
-    unloaded = SimpleNamespace(is_loaded=False, interpreted=kernel.interpreted, call=kernel.call)
+
+    def call(*arguments: Any) -> Any:
+        calls.append(arguments)
+        return kernel.call(*arguments)
+
+    unloaded = SimpleNamespace(is_loaded=False, is_kept=lambda: is_kept, interpreted=kernel.interpreted, call=call)
     monkeypatch.setattr(following, "run", unloaded)
     monkeypatch.setattr(following.Follower, "interpreted_steps", 4)
+    monkeypatch.setattr(following.Follower, "must_compile", False)
     assert_allclose(chain.forward(targets, chain.q0), expected, atol=1e-12)
-    assert following.Follower.interpreted_steps == 0
+    assert len(calls) == is_kept
+    assert 0 < following.Follower.interpreted_steps < following.MANY or is_kept
+    # Nothing is interpreted a third time.
+    monkeypatch.setattr(following.Follower, "interpreted_steps", 1)
+    assert_allclose(chain.forward(targets, chain.q0), expected, atol=1e-12)
+    assert len(calls) == is_kept + 1
+
+
+def test_kernel_is_kept_once_it_is_compiled() -> None:
+    four_bar().compile()
+    assert following.run.is_kept()
+    assert not Kernel(lambda: None, __file__).is_kept()
 
 
 def test_inverse_of_rows_reaches_those_rows() -> None:
