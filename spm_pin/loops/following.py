@@ -19,6 +19,7 @@ from spm_pin.loops.loop_state import at_index
 from spm_pin.loops.state_kinematics import StateKinematics
 from spm_pin.loops.tree_kernel import UNLIMITED, aim, linearised, moved, residual, tree_of
 from spm_pin.support.arguments import BoolArray, FloatArray
+from spm_pin.support.compiling import forced
 
 FEW, MANY = 200, 4000
 """Numbers of steps of paths in a process that are interpreted, in one to eight milliseconds each, before the kernel is
@@ -101,10 +102,11 @@ class Follower:
                 starts[:, self._bases] = self._at_origin
         aims = np.array(targets, order="C").reshape(len(targets), self._width)
         tree, status = self.tree, UNFINISHED
-        while status == UNFINISHED and _is_interpreted(len(targets)):
-            tree.steps_left[0] = Follower.interpreted_steps
+        while status == UNFINISHED and (allowed := _interpreted_steps(len(targets))):
+            tree.steps_left[0] = allowed
             k, status, done, steps = run.interpreted(tree, starts, aims, is_path, results)
-            Follower.interpreted_steps, tree.steps_left[0] = int(tree.steps_left[0]), UNLIMITED
+            Follower.interpreted_steps -= allowed - int(tree.steps_left[0])
+            tree.steps_left[0] = UNLIMITED
         if status == UNFINISHED:
             k, status, done, steps = run.call(tree, starts, aims, is_path, results)
         if status:
@@ -177,14 +179,15 @@ class Follower:
         return len(self._movable) - rank
 
 
-def _is_interpreted(targets: int) -> bool:
-    """Return whether paths to so many targets begin interpreted."""
-    if run.is_loaded:
-        return False
+def _interpreted_steps(targets: int) -> int:
+    """Return how many steps to so many targets may be interpreted; 0 if the kernel is loaded or compiled instead."""
+    way = forced()
+    if run.is_loaded or way:
+        return UNLIMITED if way == "interpreted" and not run.is_loaded else 0
     if targets > Follower.interpreted_steps and not Follower.must_compile:
         Follower.must_compile = True
         Follower.interpreted_steps += 0 if run.is_kept() else MANY
-    return targets <= Follower.interpreted_steps
+    return Follower.interpreted_steps if targets <= Follower.interpreted_steps else 0
 
 
 def _rank(jacobian: FloatArray) -> int:

@@ -22,6 +22,7 @@ from spm_pin.loops.state_kinematics import (
     read_vectors,
 )
 from spm_pin.support.arguments import FloatArray, broadcastable
+from spm_pin.support.compiling import forced
 
 MANY = 5000
 """Largest batch whose dynamics are computed by Pinocchio and NumPy, in about a second, if the kernel is not loaded."""
@@ -164,7 +165,7 @@ class TreeState:
         if not frames:
             if forces.ndim == 1 and not self._batch:
                 return self._accelerations(forces, [], ())
-            if max(math.prod(self._batch), math.prod(forces.shape[:-1])) > MANY:
+            if max(math.prod(self._batch), math.prod(forces.shape[:-1])) > MANY and forced() != "interpreted":
                 self._chain.compile_dynamics()
             accelerations = self._compiled_batch(argument, forces)
             if accelerations is not None:

@@ -24,9 +24,10 @@ import spm_pin as spm
 from spm_pin.kinematics import kernels
 from spm_pin.kinematics.kernels.ball_circles import circle_centres
 from spm_pin.kinematics.kernels.branch_kernels import all_branches
-from spm_pin.kinematics.kernels.compilation import ENVIRONMENT, Kernel, expecting, is_worth_compiling
+from spm_pin.kinematics.kernels.compilation import Kernel, expecting, is_worth_compiling
 from spm_pin.kinematics.kernels.one_stage import poses_of_stages
 from spm_pin.kinematics.singularity_analysis import determinants
+from spm_pin.support.compiling import ENVIRONMENT
 
 PAPER = spm.Manipulator.paper()
 

@@ -23,6 +23,7 @@ from spm_pin.loops.continuation import run
 from spm_pin.loops.kernel import Kernel
 from spm_pin.loops.state_kinematics import StateKinematics
 from spm_pin.loops.tree_kernel import aim, linearised, moved
+from spm_pin.support.compiling import ENVIRONMENT
 from tests.loops.robots import ROBOTS, ankle, at, closure, delta, five_bar, four_bar, hinge, pose_of, stewart
 
 
@@ -244,6 +245,14 @@ def test_path_of_many_steps_goes_on_compiled_if_that_is_kept(is_kept: bool, monk
     monkeypatch.setattr(following.Follower, "interpreted_steps", 1)
     assert_allclose(chain.forward(targets, chain.q0), expected, atol=1e-12)
     assert len(calls) == is_kept + 1
+    # The environment forces either.
+    monkeypatch.setenv(ENVIRONMENT, "interpreted")
+    assert_allclose(chain.forward(targets, chain.q0), expected, atol=1e-12)
+    assert len(calls) == is_kept + 1
+    monkeypatch.setattr(following.Follower, "interpreted_steps", following.FEW)
+    monkeypatch.setenv(ENVIRONMENT, "compiled")
+    assert_allclose(chain.forward(targets, chain.q0), expected, atol=1e-12)
+    assert len(calls) == is_kept + 2
 
 
 def test_kernel_is_kept_once_it_is_compiled() -> None:

@@ -9,7 +9,6 @@ import contextlib
 import hashlib
 import inspect
 import logging
-import os
 import pkgutil
 import sys
 import time
@@ -23,12 +22,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from spm_pin.errors import ArgumentError
 from spm_pin.formulas import operations
 from spm_pin.formulas.operations import F
 from spm_pin.formulas.vectors import Rows, Vector
 from spm_pin.support.arguments import FloatArray
-from spm_pin.support.compiling import COMPILING
+from spm_pin.support.compiling import COMPILING, forced
 
 ByteArray = npt.NDArray[np.uint8]
 ComplexArray = npt.NDArray[np.complex128]
@@ -36,8 +34,6 @@ OK, UNREACHABLE, DEGENERATE, UNSOLVED = 0, 1, 2, 3
 """The numbers of `Status`, which stands in a file that the digest of kernels does not cover."""
 TILE = 16
 """Problems computed side by side: two or more registers' worth on every processor, and small enough for its cache."""
-ENVIRONMENT = "SPM_PIN_KERNELS"
-"""Environment variable: "compiled" compiles every kernel when it is first called, "interpreted" none."""
 _FEW_MEMBERS, _SHORT, _LONG = 50, 0.1, 1.5
 """Members that are always few, and times [s] for which a kernel is always, and is never, interpreted."""
 
@@ -174,11 +170,8 @@ def is_worth_compiling(members: int, seconds: float, few: int = _FEW_MEMBERS) ->
     than with everything compiled at first. The kernels that interpret fewer than 50 members in that time are those that
     take longest to compile, so it is 50 members for them, or 1.5 s.
     """
-    forced = os.environ.get(ENVIRONMENT, "")
-    if forced not in ("", "compiled", "interpreted"):
-        raise ArgumentError(ENVIRONMENT, "'compiled' or 'interpreted'", repr(forced))
-    if forced:
-        return forced == "compiled"
+    if way := forced():
+        return way == "compiled"
     members, seconds = members + _expected.get(), seconds + 1e-3 * _expected.get()
     return seconds > _SHORT and (members > few or seconds > _LONG)
 
