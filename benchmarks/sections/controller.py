@@ -67,6 +67,7 @@ def _ticks(section: Section, pace: Pace, progress: Progress) -> None:
     """Time ticks along readings a millisecond apart, by all that can make them."""
     many, few = walk(_STATES), walk(100)
     chain = spm.ClosedChain.from_urdf()
+    chain.loops.compile()
     plain, q = PlainPinocchio(chain), chain.forward_kinematics(few[0])
     calls = [
         TimedCall("spm_pin, functions of numbers from Python", ticks_by_package(few, _WRENCH), len(few)),

@@ -39,6 +39,7 @@ def measure(pace: Pace, progress: Progress, facts: Facts) -> Section:
     )
     fewer = Pace(3 if pace.quick else 5, pace.turn, pace.quick)
     chain = spm.ClosedChain.from_urdf()
+    chain.loops.compile()
     n = 100_000 if pace.quick else 1_000_000
     with spm.threads(1):
         _log(section, chain, n, fewer, progress, facts)
@@ -75,9 +76,7 @@ def _log(section: Section, chain: Any, n: int, pace: Pace, progress: Progress, f
     near = chain.forward_kinematics(lengths[0])
     calls = [
         TimedCall("spm_pin, `ClosedChain.forward_kinematics`", lambda: chain.forward_kinematics(lengths), n),
-        TimedCall(
-            "Newton in Pinocchio, from the state before", lambda: chain.forward_kinematics(lengths[:few], near), few
-        ),
+        TimedCall("`ClosedChain`, from the state before", lambda: chain.forward_kinematics(lengths[:few], near), few),
     ]
     text = f"A log of {count(n)} leg lengths to the values of all joints"
     whole, _ = _add(section, calls, pace, progress, text, "reading")
@@ -91,7 +90,7 @@ def _commands(section: Section, chain: Any, n: int, pace: Pace, progress: Progre
     calls = [
         TimedCall("spm_pin, `inverse_physical`", lambda: spm.inverse_physical(MACHINE, poses).leg_lengths, n),
         TimedCall(
-            "Newton in Pinocchio, from the state before",
+            "`ClosedChain`, from the state before",
             lambda: chain.leg_lengths(chain.inverse_kinematics(path, near)),
             few,
         ),
@@ -241,7 +240,6 @@ def _control(section: Section, chain: Any, n: int, progress: Progress, facts: Fa
     rates = np.diff(lengths, axis=0) / 1e-3
     ours, plain = tick(chain), PlainPinocchio(chain)
     q = chain.forward_kinematics(lengths[0])
-    chain.loops.compile()
     still = np.zeros(18)
 
     def other(now: FloatArray, _: FloatArray) -> FloatArray:
@@ -250,7 +248,7 @@ def _control(section: Section, chain: Any, n: int, progress: Progress, facts: Fa
         return plain.inverse(q, still, still)
 
     rows = []
-    for name, step in (("spm_pin", ours), ("Newton in Pinocchio, `rnea`, at rest", other)):
+    for name, step in (("spm_pin", ours), ("`near=` and `rnea` of Pinocchio, at rest", other)):
         taken = np.empty(n)
         for k in range(n):
             begin = time.perf_counter()
