@@ -1,5 +1,5 @@
 # mypy: allow-untyped-calls
-"""What Numba needs for kernels: `PlainArrays` as an argument, functions that they call, and an announcement."""
+"""Extensions of Numba for kernels: `PlainArrays` as an argument, functions that they call, and an announcement."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ class Configuration:
     machine : Manipulator or Stage
         The machine.
     pose : RigidTransform, array_like (..., 4, 4), or object with `.rotation` and `.translation`
-        Pose of the platform in the base {B}: of a manipulator's terminal platform {m}, of a stage's platform {n}.
+        Pose in the base {B} of the terminal platform {m} of a manipulator, or of a stage's platform {n}.
     middle_joints : array_like, shape (..., 3, 3)
         For a manipulator: centres of the compound ball joints b_1, b_2, b_3 as rows, in {B} [m], those of the lower
         legs' balls. A missing member is NaN throughout. Leading axes broadcast with those of `pose`. A stage's balls

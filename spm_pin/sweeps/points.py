@@ -157,7 +157,7 @@ class Points:
 
     @cached_property
     def determinants(self) -> FloatArray:
-        """Values of det J_b, det J_c, det K over d³ at the M `reached` points, (M, 3); of a stage det J_b, (M, 1)."""
+        """Determinants of J_b, J_c, K over d³ at the M `reached` points, (M, 3); a stage has the first, (M, 1)."""
         values = determinants(self.reached)
         return frozen(values[:, : 1 if self.machine.is_stage else 3] / self.machine.ball_side**3)
 
