@@ -11,7 +11,6 @@ import numpy as np
 import pinocchio as pin
 
 from spm_pin.loops import ClosedChain
-from spm_pin.loops.links import find_frame
 
 MOVES = {"four_bar": [0.6], "five_bar": [0.3, 0.2], "ankle": [0.5, 0.3], "delta": [0.3, 0.1, -0.1]}
 MOVES["stewart"] = [0.03, -0.02, 0.01, 0.02, -0.01, 0.03]
@@ -30,7 +29,7 @@ for number, (name, move) in enumerate(MOVES.items(), start=1):
     # What each joint carries is drawn as a fan from its origin to the joints and closures that stand on it.
     tips = [(model.parents[j], data.oMi[j].translation) for j in range(1, model.njoints)]
     for anchor in (a for closure in chain.closures for a in (closure.first, closure.second)):
-        frame = find_frame(model, anchor.frame)
+        frame = model.getFrameId(anchor.frame)
         tips.append((model.frames[frame].parentJoint, (data.oMf[frame] * anchor.placement).translation))
     ax = figure.add_subplot(1, len(MOVES), number, projection="3d")
     for joint, tip in tips:
@@ -38,7 +37,7 @@ for number, (name, move) in enumerate(MOVES.items(), start=1):
             driven = model.names[joint] in chain.actuated
             ax.plot(*np.array([data.oMi[joint].translation, tip]).T, color="C1" if driven else "C0", lw=2)
     for closure in chain.closures:
-        frame = find_frame(model, closure.first.frame)
+        frame = model.getFrameId(closure.first.frame)
         ax.plot(*(data.oMf[frame] * closure.first.placement).translation, "o", color="k", ms=3)
     ax.set_title(name.replace("_", "-"), fontsize=10)
     ax.set_aspect("equal")

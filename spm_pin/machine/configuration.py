@@ -176,7 +176,7 @@ class Configuration:
         """
         legs = self._machine.legs
         balls, centres = self.balls_of_stages, legs.pivots if legs.are_rps else self.own_circle_centres
-        axes, centres = (x.reshape(*x.shape[:-2], -1, 3, 3) for x in (legs.axes, centres))
+        axes, centres = (x.reshape(*x.shape[:-2], len(legs.kinds), 3, 3) for x in (legs.axes, centres))
         at_home = np.asarray(_is_upright(rows_of(balls), rows_of(centres), legs.stage_ups).all(axis=-1))
         # In a batch few states are upright, and the test of the region takes longer.
         centres = np.broadcast_to(centres, balls.shape)
