@@ -7,8 +7,8 @@ from spm_pin.errors import ArgumentError
 
 ENVIRONMENT = "SPM_PIN_KERNELS"
 """Environment variable: "compiled" compiles every kernel when it is first called, "interpreted" none."""
+# Held while Numba compiles: a child process that is forked meanwhile would wait for ever for Numba's own lock.
 COMPILING = threading.RLock()
-"""Held while Numba compiles. A child process that is forked meanwhile would wait for ever for Numba's own lock."""
 
 os.register_at_fork(before=COMPILING.acquire, after_in_parent=COMPILING.release, after_in_child=COMPILING.release)
 
