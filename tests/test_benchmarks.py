@@ -59,8 +59,12 @@ def rounded(poses: RigidTransform, peer_name: str) -> tuple[RigidTransform, int]
 def median_coordinates(
     machine: spm.Manipulator, poses: RigidTransform, found: list[npt.NDArray[np.float64]], copies: int
 ) -> list[npt.NDArray[np.float64]]:
-    along = coordinates(machine, poses, found)
-    return [np.median(along[k : k + copies], axis=0) for k in range(0, len(along), copies)]
+    along, medians = coordinates(machine, poses, found), []
+    for k in range(0, len(along), copies):
+        counts = [len(roots) for roots in along[k : k + copies]]
+        usual = max(counts, key=counts.count)
+        medians.append(np.median([roots for roots in along[k : k + copies] if len(roots) == usual], axis=0))
+    return medians
 
 
 def certified() -> list[npt.NDArray[np.float64]]:
