@@ -204,8 +204,8 @@ def forward_physical(machine: Manipulator | Stage | Array, readings: Array, near
     in 1,000 of those below 30°. Give `near` there.
     """
     is_stage = isinstance(machine, Stage)
-    given = {"machine": machine, "readings": readings, **state_arrays(near, "near")}
-    library = library_of(legs=3 if is_stage else 6, **given)
+    legs = 3 if is_stage else 6
+    library = library_of(legs=legs, machine=machine, readings=readings, **state_arrays(near, "near", legs))
     numbers, run = read_machine(library, machine), library.run
     shown, own, valid = numbers.checked_readings(library, readings)
     zero = library.zeros(*sum(own, ()), numbers.r, *([] if near is None else [near.translation[..., 0]]))

@@ -17,9 +17,10 @@ from spm_pin.formulas.leg_constants import AXES
 from spm_pin.formulas.operations import bind, mapped, vector_of
 from spm_pin.formulas.planar_legs import MOST_TURNED
 from spm_pin.formulas.stage_numbers import StageNumbers, stage_numbers
-from spm_pin.machine import LegKind, Machine, Manipulator, Stage
+from spm_pin.machine import Configuration, LegKind, Machine, Manipulator, Stage
 from spm_pin.machine.joint_angles import joint_names
 from spm_pin.machine.leg_kinds import BOUNDS
+from spm_pin.machine.machine import ALONE
 from spm_pin.support.arguments import LARGEST, LARGEST_RATIO, SMALLEST, check_shapes, type_and_value
 
 try:
@@ -139,6 +140,11 @@ def library_of(*, legs: int = 6, **arguments: Array | Machine) -> Library:
 
     A machine has so many `legs`, and is no array.
     """
+    machine: Any = arguments.get("machine")
+    is_pair = isinstance(machine, tuple) and len(machine) > 0
+    if legs == 6 and isinstance(machine[0] if is_pair else machine, Stage):
+        cause = "A stage is taken without other parameters, by forward_physical" if is_pair else ALONE
+        raise ArgumentError("machine", "a Manipulator", "a Stage", cause)
     given = ((name, x[1] if name == "machine" and isinstance(x, tuple) else x) for name, x in arguments.items())
     machines = Manipulator if legs == 6 else Stage
     arrays: dict[str, Array] = {name: x for name, x in given if not isinstance(x, machines)}
@@ -294,11 +300,14 @@ def _machine_of(machine: Manipulator | Stage) -> MachineOnArrays:
     return _completed(library_of(numbers=np.zeros(1)), tuple(radii), r, legs, machine, None, machine.is_nominal, True)
 
 
-def state_arrays(state: Any, name: str) -> dict[str, Any]:
-    """Return the arrays of a state by their names in messages; none of None."""
+def state_arrays(state: Any, name: str, legs: int = 6) -> dict[str, Any]:
+    """Return the arrays of a state of a machine with so many legs by their names in messages; none of None."""
     if state is None:
         return {}
     fields = "rotation", "translation", "middle_joints"
     if not all(hasattr(state, field) for field in (*fields, "exists")):
         raise ArgumentError(name, "a State or a state of the machine", type_and_value(state))
+    own = len(state.machine.legs.names) if isinstance(state, Configuration) else state.readings.shape[-1]
+    if own != legs:
+        raise ArgumentError(name, f"a state of a machine with {legs} legs", f"one with {own}")
     return {f"{name}.{field}": getattr(state, field) for field in fields}

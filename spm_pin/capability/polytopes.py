@@ -398,13 +398,16 @@ def joint_reactions(configuration: Configuration) -> JointReactions:
     check_configuration(configuration)
     rows = -stage_inverses(configuration).mT
     shape = rows.shape[:-3]
-    along, axial = (rows[..., k, :].reshape(*shape, -1, 6) for k in (slice(3), slice(3, 6)))
+    legs = 3 * rows.shape[-3]
+    along, axial = (rows[..., k, :].reshape(*shape, legs, 6) for k in (slice(3), slice(3, 6)))
     angles = np.pi * np.arange(_DIRECTIONS)[:, None] / _DIRECTIONS
     ball = np.cos(angles) * along[..., None, :] + np.sin(angles) * axial[..., None, :]
     rods = np.linalg.norm(configuration.leg_vectors, axis=-1)
     arms = np.linalg.norm(configuration.balls - configuration.leg_bases, axis=-1)
     bending, pivot = (lever[..., None] * axial for lever in (rods, arms))
-    return JointReactions(axial, bending, pivot, ball.reshape(*shape, -1, 6) / np.cos(0.5 * np.pi / _DIRECTIONS))
+    return JointReactions(
+        axial, bending, pivot, ball.reshape(*shape, legs * _DIRECTIONS, 6) / np.cos(0.5 * np.pi / _DIRECTIONS)
+    )
 
 
 def _limits_of(

@@ -152,7 +152,7 @@ def forward_physical(
     Without `near` a state to which Newton's method from the level stages does not lead does not exist here; see
     `spm_pin.arrays.forward_physical` for how many these are.
     """
-    symbolic = MachineInCasadi(machine, parameters)
+    symbolic = MachineInCasadi(machine, parameters, of=(Manipulator, Stage))
     count = len(symbolic.stages)
     readings, unknowns = ca.SX.sym("readings", 3 * count), ca.SX.sym("unknowns", 3 * count)
     stages, inputs = [symbolic.circles(k, readings) for k in range(count)], [readings]
@@ -199,7 +199,7 @@ def stage_inverse(stage: Stage) -> ca.Function:
         (1,), 1 where the platform has such a state whose balls are in reach, and 0 where not, as for normals that are
         zero, NaN or within 1.4 mrad of -z. There the others are finite and mean nothing.
     """
-    machine = MachineInCasadi(check_instance(stage, Stage, "stage"))
+    machine = MachineInCasadi(check_instance(stage, Stage, "stage"), of=(Stage,))
     (own,), (kind,), normal, height = machine.stages, machine.formulas, ca.SX.sym("normal", 3), ca.SX.sym("height")
     constants = in_casadi(stage_poses.stage_constants)(own.axes, own.pivots, own.balls)
     least_rise, formula = stage_poses.LEAST_RISE, in_casadi(stage_poses.pose_of_tilt)

@@ -40,6 +40,7 @@ from spm_pin.machine import FAMILIES, LegKind, Machine, Manipulator
 from spm_pin.machine.joint_angles import joint_names
 from spm_pin.machine.leg_kinds import BOUNDS, drawn_numbers
 from spm_pin.machine.legs import AXES, RADIAL
+from spm_pin.machine.machine import ALONE
 from spm_pin.support.arguments import LARGEST, SMALLEST, as_bool, type_and_value
 from spm_pin.support.pose import ORTHONORMALITY_TOLERANCE
 
@@ -125,7 +126,13 @@ class MachineInCasadi:
         Whether the parameters of the legs are an input.
     """
 
-    def __init__(self, machine: Machine | Literal["symbolic"] | None = None, parameters: bool = False) -> None:
+    def __init__(
+        self,
+        machine: Machine | Literal["symbolic"] | None = None,
+        parameters: bool = False,
+        *,
+        of: tuple[type[Machine], ...] = (Manipulator,),
+    ) -> None:
         self.inputs: list[Any] = []
         self.valid: Any = 1
         parameters = as_bool(parameters, "parameters")
@@ -136,8 +143,9 @@ class MachineInCasadi:
             base, platform, side = ca.vertsplit(self.inputs[0])
             self._draw((base, platform), side)
             return
-        if not isinstance(machine, Machine | None):
-            raise ArgumentError("machine", 'a Manipulator, "symbolic" or None', type_and_value(machine))
+        if not (machine is None or isinstance(machine, of)):
+            cause = ALONE * isinstance(machine, Machine)
+            raise ArgumentError("machine", 'a Manipulator, "symbolic" or None', type_and_value(machine), cause)
         machine = machine or Manipulator.paper()
         self._set_kinds(machine)
         self._draw(tuple(radius for radius, _ in machine.stage_radii), machine.ball_side)

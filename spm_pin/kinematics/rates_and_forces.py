@@ -207,7 +207,7 @@ def joint_loads(configuration: Configuration, wrench: npt.ArrayLike) -> JointLoa
     load = _broadcast_argument(wrench, "wrench", "(f, m) at o in {B} in N and N m", configuration, 6)
     carried = -(stage_inverses(configuration).mT @ load[..., None, :, None])[..., 0]
     along, axes = _directions(configuration)
-    rods, across = (x.reshape(*x.shape[:-2], -1) for x in (carried[..., :3], carried[..., 3:]))
+    rods, across = (x.reshape(*x.shape[:-2], axes.shape[-2]) for x in (carried[..., :3], carried[..., 3:]))
     balls = rods[..., None] * along + across[..., None] * axes
     arms = configuration.balls - configuration.leg_bases
     return JointLoads(rods * configuration.slopes, rods, across, balls, np.cross(arms, balls))
@@ -267,7 +267,8 @@ def stage_forces(state: Configuration, centre: FloatArray, unit: float = 1.0) ->
     """
     arms = (state.balls - centre[..., None, :]) / unit
     rows = [np.concatenate([f, np.cross(arms, f)], axis=-1) for f in _directions(state)]
-    return np.concatenate([x.reshape(*state.shape, -1, 3, 6) for x in rows], axis=-2)
+    count = len(state.machine.legs.kinds)
+    return np.concatenate([x.reshape(*state.shape, count, 3, 6) for x in rows], axis=-2)
 
 
 def force_matrices(configuration: Configuration) -> FloatArray:
@@ -393,7 +394,7 @@ def compliance(configuration: Configuration, legs: npt.ArrayLike, structure: npt
     inverses = stage_inverses(configuration)
     if not configuration.machine.legs.are_rps:
         along = along * configuration.slopes**2
-    stages = (x.reshape(*x.shape[:-1], -1, 3) for x in (along, across))
+    stages = (x.reshape(*x.shape[:-1], x.shape[-1] // 3, 3) for x in (along, across))
     shares = np.concatenate(np.broadcast_arrays(*stages), axis=-1)
     total = ((inverses * shares[..., None, :]) @ inverses.swapaxes(-1, -2)).sum(axis=-3)
     return np.asarray(0.5 * (total + total.swapaxes(-1, -2)))

@@ -35,6 +35,7 @@ from spm_pin.kinematics.rates_and_forces import (
 )
 from spm_pin.kinematics.singularity_kinds import SINGULAR, SingularityKind, kinds_text
 from spm_pin.machine.configuration import Configuration, check_configuration, masked
+from spm_pin.machine.manipulator import Manipulator
 from spm_pin.support.arguments import BoolArray, FloatArray, IntArray, real_number, shaped_array
 
 _MIN_BATCH_PER_THREAD = 1 << 11
@@ -291,6 +292,7 @@ def determinant_gradients(configuration: Configuration) -> FloatArray:
         singularity, at others as `platform_jacobian`. For the derivative along a motion of the platform multiply with
         `inverse_jacobian`.
     """
+    check_configuration(configuration, of=Manipulator)
     # Twists (v, ω) of m at o per unit leg rate, (..., 6, 6); the middle platform moves with the lower legs only.
     twists = np.swapaxes(platform_jacobian(configuration), -1, -2)
     angular, origin = twists[..., 3:], configuration.translation[..., None, :]

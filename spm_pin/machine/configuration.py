@@ -15,14 +15,14 @@ from spm_pin.formulas import branches, circles
 from spm_pin.formulas.operations import on_arrays, rows_of
 from spm_pin.machine.legs import LegLimits, triangle_frames, triangle_sides
 from spm_pin.machine.machine import ALONE, Machine, check_machine
-from spm_pin.machine.manipulator import Manipulator, check_manipulator
+from spm_pin.machine.manipulator import Manipulator, check_manipulator, check_same_machine
 from spm_pin.machine.stage import Stage
 from spm_pin.support import notebook
 from spm_pin.support.arguments import (
     BoolArray,
     FloatArray,
+    boolean_array,
     broadcastable,
-    check_instance,
     first_offender,
     frozen,
     real_array,
@@ -118,7 +118,8 @@ class Configuration:
 
     def with_machine(self, machine: Machine) -> Configuration:
         """Return the same states of another machine, which has the same dimensions but perhaps other limits."""
-        return self.from_arrays(check_instance(machine, type(self._machine), "machine"), *self._arrays)
+        check_same_machine(check_machine(machine), self._machine, "machine", "the state")
+        return self.from_arrays(machine, *self._arrays)
 
     def transformed(self, change: Callable[[FloatArray, int], FloatArray]) -> Configuration:
         """Return the states with each array replaced by `change(array, number of inner axes)`."""
@@ -156,8 +157,9 @@ class Configuration:
         """False for a member of the batch that does not exist, shape (...)."""
         return ~np.isnan(self.translation[..., 2] if self._machine.is_stage else self._arrays[2][..., 0, 0])
 
-    def where(self, kept: BoolArray) -> Configuration:
-        """Return the states where `kept` (...) is true; the others are NaN, but a manipulator's keep their pose."""
+    def where(self, mask: npt.ArrayLike) -> Configuration:
+        """Return the states where `mask` (...) is true; the others are NaN, but a manipulator's keep their pose."""
+        kept = boolean_array(mask, "mask", self.shape)
         if self._machine.is_stage:
             return self.transformed(lambda array, inner: masked(array, kept, inner))
         lengths = None if self._known is None else masked(self._known, kept, 1)

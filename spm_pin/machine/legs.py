@@ -69,8 +69,8 @@ class LegLimits:
     Parameters
     ----------
     minimum, maximum : float or sequence of six or three floats
-        One for each leg of a manipulator, in the order of `LEGS`, or of a stage; or one for all legs of either. In
-        metres, for RRS legs in radians. They may be infinite.
+        One for each leg of a manipulator, in the order of `LEGS`, or of a stage; or one for all legs of a manipulator,
+        which a stage takes for its own. In metres, for RRS legs in radians. They may be infinite.
 
     Notes
     -----
@@ -110,7 +110,8 @@ class LegLimits:
     def __repr__(self) -> str:
         pairs = [f"{low:.6g}, {high:.6g}" for low, high in zip(self.minimum, self.maximum, strict=True)]
         if len(set(pairs)) == 1:
-            return f"LegLimits({pairs[0]})"
+            low, high = pairs[0].split(", ")
+            return f"LegLimits({low if len(pairs) == 6 else f'[{low}] * 3'}, {high})"
         if len(set(pairs[:3])) == len(set(pairs[3:])) == 1:
             return f"LegLimits.stages(({pairs[0]}), ({pairs[3]}))"
         bounds = (f"[{', '.join(f'{end:.6g}' for end in ends)}]" for ends in (self.minimum, self.maximum))

@@ -157,7 +157,8 @@ class Machine(ABC):
                 expected = f"LegLimits, or a pair (minimum, maximum), each one number or {count}"
                 raise GeometryError("limits", expected, type_and_value(limits))
             try:
-                read = LegLimits(*limits)
+                are_numbers = all(np.ndim(end) == 0 for end in limits)
+                read = LegLimits(*([end] * count if are_numbers else end for end in limits))
             except GeometryError as error:
                 raise error.replaced(argument="limits") from None
         ends = read.minimum, read.maximum

@@ -110,7 +110,7 @@ class SolutionSet:
     problem. An index that selects nothing raises `SelectionError`. A single problem is a sequence of the solutions of
     all labels, real or not: `exists` says which are real, and `count` how many.
 
-    Labels are, for a manipulator, the eight branches of a pose, `BRANCHES`, or assembly modes, such as "T1+ F2-"; for a
+    Labels are, for a manipulator, the eight branches of a pose, `BRANCHES`, or assembly modes, such as "T1+/F2-"; for a
     stage the `OPERATION_MODES` T, without torsion, and F, with a half turn, or the sixteen `STAGE_MODES`.
     """
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import array_api_strict as strict
 import casadi as ca
 import jax
@@ -207,6 +209,31 @@ def test_cranks_turned_by_more_than_a_turn_are_taken_for_degrees(turns: int) -> 
     for solve in (spm.forward_displacement, spm.forward_physical):
         with pytest.raises(spm.ArgumentError, check=with_fields(argument="readings")):
             solve(stage, wound)
+
+
+def test_states_and_machines_of_another_kind_are_refused() -> None:
+    stage, height = stage_and_height("RRS")
+    machine, lengths, load = spm.Manipulator.paper(), np.array([1.2, 1.2, 1.4, 1.25, 1.2, 1.45]), np.ones(6)
+    level, state = spm.inverse_physical(stage, height), spm.forward_physical(machine, lengths)
+    ours, theirs = arrays.forward_physical(stage, level.readings), arrays.forward_physical(machine, lengths)
+    for argument, calls in {
+        "state": [partial(arrays.leg_forces, machine, x, load) for x in (ours, level)]
+        + [partial(f, machine, ours) for f in (arrays.inverse_jacobian, arrays.joint_values)],
+        "near": [partial(arrays.forward_physical, machine, lengths, near=x) for x in (ours, level)]
+        + [partial(arrays.forward_physical, stage, level.readings, near=x) for x in (theirs, state)]
+        + [partial(arrays.inverse_physical, machine, theirs.rotation, theirs.translation, near=ours)],
+        "machine": [
+            partial(arrays.leg_forces, stage, theirs, load),
+            partial(arrays.inverse_physical, stage, theirs.rotation, theirs.translation),
+            partial(arrays.forward_physical, (stage, stage.parameters), level.readings),
+            partial(spm.casadi.inverse_physical, stage),
+            partial(spm.casadi.leg_forces, stage),
+            partial(spm.casadi.gravity, stage),
+        ],
+    }.items():
+        for call in calls:
+            with pytest.raises(spm.ArgumentError, check=with_fields(argument=argument)):
+                call()
 
 
 @pytest.mark.usefixtures("double_precision")

@@ -89,10 +89,27 @@ def test_states_of_another_kind_of_machine_are_refused() -> None:
             lambda: spm.inverse_displacement(machine, state.pose).nearest(level),
             lambda: spm.forward_physical(stage, level.readings, near=state),
         ),
-        "configuration": (lambda: spm.kinematics.parasitic_jacobian(state),),
+        "configuration": (
+            lambda: spm.kinematics.parasitic_jacobian(state),
+            lambda: spm.kinematics.determinant_gradients(level),
+        ),
+        "machine": (lambda: state.with_machine(spm.Manipulator(1.0, 0.5, 0.6)), lambda: level.with_machine(machine)),
+        "mask": (lambda: state.where([True, False]), lambda: level.where("all")),
         "start": (lambda: spm.follow(stage, [level.readings, level.readings + 0.01], start=state),),
     }
     for argument, refused in calls.items():
         for call in refused:
             with pytest.raises(spm.ArgumentError, check=with_fields(argument=argument)):
                 call()
+
+
+@pytest.mark.parametrize("machine", [*LEGS, "manipulator"])
+def test_empty_batches_have_empty_answers(machine: str) -> None:
+    own = spm.Manipulator.paper() if machine == "manipulator" else spm.Stage(0.30, 0.25, LEGS[machine])
+    none, legs = spm.forward_physical(own, np.zeros((0, len(own.legs.names)))), len(own.legs.names)
+    assert none.is_at_home.shape == none.exists.shape == (0,)
+    assert spm.inverse_jacobian(none).shape == spm.stiffness(none, 1e6).shape == (0, legs, legs)
+    assert spm.kinematics.compliance(none, 1e6).shape == (0, 6, 6)
+    assert spm.determinants(none).shape[0] == spm.singularities(none).kind.shape[0] == 0
+    assert spm.kinematics.joint_loads(none, np.ones(6)).rods.shape == (0, legs)
+    assert spm.capability.joint_reactions(none).axial.shape == (0, legs, 6)
