@@ -223,6 +223,8 @@ class StateKinematics:
 
     def _drive(self, places: IntArray) -> Drive:
         scales = self.units.take(places)
+        if not len(places):
+            return Drive(scales, np.zeros((0, 0)), np.zeros(0), np.eye(self.space.basis.shape[1]), 0)
         left, sizes, right, info = lapack.dgesdd(self.space.basis.take(places, axis=0) / scales[:, None])
         if info:
             raise np.linalg.LinAlgError("the singular values of the actuators do not converge")

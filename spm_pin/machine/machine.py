@@ -188,9 +188,13 @@ class Machine(ABC):
         if self.is_nominal:
             return f"{limits})"
         angles, pivots, balls, offsets = self.legs.deviations(self.nominal.legs)
-        turns = np.array([unit == "rad" for unit in self.legs.units])
-        length = max(float(x.max()) for x in (pivots, balls, np.where(turns, 0.0, offsets)))
-        angle = max(float(x.max()) for x in (angles, np.where(turns, offsets, 0.0)))
+        first = 9 * len(offsets)
+        numbers = np.abs(self.parameters - self.nominal.parameters)[first:]
+        turns, turned = (
+            np.array(units, dtype=str) == "rad" for units in (self.legs.units, self.parameter_units[first:])
+        )
+        length = max(x.max(initial=0.0) for x in (pivots, balls, offsets[~turns], numbers[~turned]))
+        angle = max(x.max(initial=0.0) for x in (angles, offsets[turns], numbers[turned]))
         return f"{limits}, legs differ from nominal by up to {length:.3g} m, {angle:.3g} rad)"
 
     def __reduce__(self) -> tuple[Any, ...]:

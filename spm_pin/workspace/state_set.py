@@ -532,7 +532,6 @@ def sample_reachable(
             parts[-1] = parts[-1][check_condition(where, states.states(parts[-1]))]
         kept = sum(len(part) for part in parts)
     else:
-        raise ArgumentError(
-            "limits", "limits that enough random states are within", f"limits that {kept} of {count} are within"
-        )
+        name, which = ("limits", "are within") if where is None else ("where", "satisfy")
+        raise ArgumentError(name, f"one that enough random states {which}", f"one that {kept} of {count} {which}")
     return states.states(np.concatenate(parts)[:count])

@@ -15,6 +15,7 @@ from loops.mechanisms import MAKERS, Array, admissible, ankle, mechanism, states
 from spm_pin.errors import ArgumentError, ClosureError, SingularConfigurationError
 from spm_pin.loops.closed_chain import ClosedChain
 from spm_pin.loops.loop_state import LoopState
+from tests.loops import robots
 from tests.loops.robots import add, at, hinge
 
 DRIVEN = [name for name in MAKERS if name != "Delta"]
@@ -246,6 +247,16 @@ def test_more_actuators_than_freedoms_must_agree() -> None:
     assert state.joint_rates([2.0, 2.0, 2.0]) == pytest.approx([2.0, -2.0, 2.0, 2.0])
     with pytest.raises(ArgumentError):
         state.joint_rates([2.0, 2.0, 1.0])
+
+
+def test_chain_without_actuators_moves_and_holds_nothing() -> None:
+    full = robots.stewart()
+    chain = ClosedChain(full.model, full.closures, [], q0=full.q0)
+    state = chain.state(chain.q0)
+    np.testing.assert_allclose(state.forward_dynamics([]), full.state(full.q0).forward_dynamics(np.zeros(6)), atol=1e-9)
+    for call in (state.holding_forces, lambda: state.inverse_dynamics(np.zeros(chain.model.nv))):
+        with pytest.raises(ArgumentError, check=with_fields(argument="actuated")):
+            call()
 
 
 def test_fewer_actuators_than_freedoms_bear_what_they_can() -> None:
