@@ -33,8 +33,9 @@ DEPENDENT = 1e-7
 class Follower:
     """Paths of one chain to values of its actuated joints, or to poses of a frame."""
 
-    interpreted_steps, must_compile = FEW, False
-    """Number of steps, for all chains in this process, that may still be interpreted, and whether loading was tried."""
+    interpreted_steps, is_cache_read = FEW, False
+    """Number of steps, for all chains in this process, that may still be interpreted, and whether Numba's cache, which
+    determines it, has been looked into."""
 
     def __init__(self, chain: Any, frame: str | None, chosen: Sequence[int]) -> None:
         model, self.chain = chain.model, chain
@@ -181,11 +182,12 @@ class Follower:
 
 def _interpreted_steps(targets: int) -> int:
     """Return how many steps to so many targets may be interpreted; 0 if the kernel is loaded or compiled instead."""
-    way = forced()
-    if run.is_loaded or way:
-        return UNLIMITED if way == "interpreted" and not run.is_loaded else 0
-    if targets > Follower.interpreted_steps and not Follower.must_compile:
-        Follower.must_compile = True
+    if run.is_loaded:
+        return 0
+    if way := forced():
+        return UNLIMITED if way == "interpreted" else 0
+    if targets > Follower.interpreted_steps and not Follower.is_cache_read:
+        Follower.is_cache_read = True
         Follower.interpreted_steps += 0 if run.is_kept() else MANY
     return Follower.interpreted_steps if targets <= Follower.interpreted_steps else 0
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import logging
 from collections.abc import Callable
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -59,19 +60,16 @@ class Kernel:
         import numba
 
         try:
-            place = Path(str(numba.njit(cache=True)(self._named()).stats.cache_path))
+            place = Path(str(numba.njit(cache=True)(self._named).stats.cache_path))
         except RuntimeError:  # nowhere to keep it
             return False
         return any(place.glob(f"*{self._function.__qualname__}-*.nbi"))
 
+    @cached_property
     def _named(self) -> Callable[..., Any]:
-        """Return the function, whose name ends with a digest of all that is compiled.
-
-        Numba's cache looks at one file alone.
-        """
-        if not hasattr(self, "_digest"):
-            self._digest = hashlib.sha256(b"".join(Path(module).read_bytes() for module in self._modules)).hexdigest()
-            self._function.__qualname__ = f"{self._function.__name__}_{self._digest[:16]}"
+        """The function, its name with a digest of all that is compiled: Numba's cache looks at one file alone."""
+        digest = hashlib.sha256(b"".join(Path(module).read_bytes() for module in self._modules)).hexdigest()
+        self._function.__qualname__ = f"{self._function.__name__}_{digest[:16]}"
         return self._function
 
     def _first_call(self, *arguments: Any) -> Any:
@@ -84,15 +82,14 @@ class Kernel:
             if not self.is_loaded:
                 while _pending:
                     register(*_pending.pop())
-                function = self._named()
                 signature = tuple(map(numba.typeof, arguments))
                 compiled: Any
                 try:
                     with event.install_listener("numba:compile", Announcement()):
-                        compiled = numba.njit(signature, error_model="numpy", nogil=True, cache=True)(function)
+                        compiled = numba.njit(signature, error_model="numpy", nogil=True, cache=True)(self._named)
                 except Exception as error:  # nowhere to keep it, or a damaged file, which may raise anything
                     _LOG.warning("spm_pin: Numba's cache cannot be used, see NUMBA_CACHE_DIR: %r", error)
-                    compiled = numba.njit(signature, error_model="numpy", nogil=True)(function)
+                    compiled = numba.njit(signature, error_model="numpy", nogil=True)(self._named)
                 # The function behind the dispatcher, which looks for the types of all arguments in a microsecond.
                 self.call, self.is_loaded = next(iter(compiled.overloads.values())).entry_point, True
         return self.call(*arguments)

@@ -326,7 +326,7 @@ def _turning(form, w, r):  # type: ignore[no-untyped-def]
 
 
 @jit
-def __aim_pose(tree, s):  # type: ignore[no-untyped-def]
+def _aim_pose(tree, s):  # type: ignore[no-untyped-def]
     """Move the pose that is to be reached to its place at a share of the path."""
     end = 2 * tree.pose
     rotation = matrix(tree.pose_rotations, 1)
@@ -378,7 +378,7 @@ def _left_sides(tree, rotations, origins, loop, axes, p2, c):  # type: ignore[no
 def residual(tree, q, s):  # type: ignore[no-untyped-def]
     """Return the equations' left sides c (m,), dimensionless, at a share s of the path, from 0 to 1."""
     if tree.pose >= 0:
-        __aim_pose(tree, s)
+        _aim_pose(tree, s)
     rotations, origins = placed(tree, q)
     c = np.empty(len(tree.row_units))
     for loop in range(len(tree.ends)):
@@ -392,7 +392,7 @@ def residual(tree, q, s):  # type: ignore[no-untyped-def]
 def linearised(tree, q, s):  # type: ignore[no-untyped-def]
     """Return c (m,), its Jacobian J (m, p) and levers (closures, nv) at a share of the path."""
     if tree.pose >= 0:
-        __aim_pose(tree, s)
+        _aim_pose(tree, s)
     rotations, origins = placed(tree, q)
     return linearised_at(tree, q, rotations, origins)
 

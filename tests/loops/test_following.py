@@ -237,7 +237,7 @@ def test_path_of_many_steps_goes_on_compiled_if_that_is_kept(is_kept: bool, monk
     unloaded = SimpleNamespace(is_loaded=False, is_kept=lambda: is_kept, interpreted=kernel.interpreted, call=call)
     monkeypatch.setattr(following, "run", unloaded)
     monkeypatch.setattr(following.Follower, "interpreted_steps", 4)
-    monkeypatch.setattr(following.Follower, "must_compile", False)
+    monkeypatch.setattr(following.Follower, "is_cache_read", False)
     assert_allclose(chain.forward(targets, chain.q0), expected, atol=1e-12)
     assert len(calls) == is_kept
     assert 0 < following.Follower.interpreted_steps < following.MANY or is_kept
